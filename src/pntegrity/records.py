@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.kernels.linear import cholesky, gain, whiten
+from pntegrity.kernels.sparse import sandwich
 
 FloatArray = npt.NDArray[np.float64]
 Status = Literal["ok", "alert", "unavailable"]
@@ -233,7 +234,7 @@ class Update:
     @cached_property
     def S(self) -> FloatArray:
         """Innovation covariance, shape (m, m)."""
-        return frozen(self.H @ self.prior.P @ self.H.T + self.R)
+        return frozen(sandwich(self.H, self.prior.P) + self.R)
 
     @cached_property
     def L(self) -> FloatArray:
@@ -244,6 +245,11 @@ class Update:
     def K(self) -> FloatArray:
         """Gain ``P' H^T S^-1``, shape (n, m)."""
         return frozen(gain(self.prior.P, self.H, self.L))
+
+    @cached_property
+    def absorbed(self) -> FloatArray:
+        """What the rows took from the covariance, ``P' - P = K S K^T``: the covariance of ``K nu``."""
+        return frozen(self.prior.P - self.posterior.P)
 
     @cached_property
     def white(self) -> FloatArray:

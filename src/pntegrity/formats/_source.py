@@ -1,0 +1,111 @@
+"""Bytes of a file, plain or gzip, with errors that say what to do."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+from pntegrity.errors import InputError
+
+__all__ = ["atomic_write", "read_bytes", "read_text"]
+
+GZIP_MAGIC = b"\x1f\x8b"
+OTHER_ARCHIVES = {
+    b"\x1f\x9d": "a Unix compress (.Z) file",
+    b"PK\x03\x04": "a zip archive",
+    b"BZh": "a bzip2 file",
+    b"\xfd7zXZ": "an xz file",
+}
+# Every byte that is no printable ASCII becomes "?", so columns stay where they are.
+_ASCII = bytes(b if 32 <= b < 127 or b in b"\t\n\r" else ord("?") for b in range(256))
+
+
+def read_bytes(path: Path | str) -> bytes:
+    """Return the content of `path`, decompressed where it is gzip (told by its first bytes, not by its name).
+
+    Raises
+    ------
+    InputError
+        Missing, unreadable, a directory, empty, or a damaged gzip file.
+    """
+    path = Path(path)
+    data = _raw(path)
+    if data.startswith(GZIP_MAGIC):
+        data = _gunzip(path, data)
+    if not data.strip():
+        raise InputError("the file is empty", path=path, hint="Download or log it again")
+    for magic, what in OTHER_ARCHIVES.items():
+        if data.startswith(magic):
+            raise InputError(f"this is {what}", path=path, hint="Unpack it first (gzip is read as it is)")
+    return data
+
+
+def _raw(path: Path) -> bytes:
+    if path.is_dir():
+        raise InputError("this is a directory", path=path, hint="Name one file in it")
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError("no such file", path=path, hint="Check the path") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read ({error})", path=path, hint="Check the path and its permissions") from None
+
+
+def _gunzip(path: Path, data: bytes) -> bytes:
+    try:
+        return gzip.decompress(data)
+    except EOFError:
+        raise InputError(
+            "the gzip file is cut off", path=path, hint="Copy or download it again (gzip -t tests it)"
+        ) from None
+    except (OSError, zlib.error) as error:
+        raise InputError(f"the gzip file is damaged ({error})", path=path, hint="Download it again") from None
+
+
+def read_text(path: Path | str) -> str:
+    """Return the content of `path` as ASCII text, each foreign byte replaced by ``?``.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`, and where the content is binary.
+    """
+    data = read_bytes(path)
+    if _is_binary(data):
+        raise InputError(
+            "this is a binary file, text was expected",
+            path=path,
+            hint="Convert a receiver's raw log to RINEX first, with RTKLIB's convbin or the maker's own tool",
+        )
+    return data.translate(_ASCII).decode("ascii")
+
+
+def _is_binary(data: bytes, sample: int = 8192) -> bool:
+    head = data[:sample]
+    odd = len(head) - len(head.translate(None, _ODD))
+    return b"\0" in head or odd > 0.1 * len(head)
+
+
+_ODD = bytes(b for b in range(256) if not (32 <= b < 127 or b in b"\t\n\r"))
+
+
+def atomic_write(path: Path | str, write: Callable[[], str]) -> None:
+    """Write the text of `write()` to `path` so that a reader sees the old file or the new one, never a part.
+
+    Raises
+    ------
+    InputError
+        The folder is missing or cannot be written.
+    """
+    path = Path(path)
+    text = write()
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="ascii", errors="replace", newline="\n")
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(f"cannot be written ({error})", path=path, hint="Check that its folder exists") from None

@@ -1,0 +1,114 @@
+"""The windowed vectors of AIME and SRAIME as linear maps of whitened innovations.
+
+The window is a run of updates after an anchor posterior. The state propagator leaves the anchor without measurements;
+``s_i`` is how far the filter's prior has moved from it: ``s_1 = 0``, ``s_{i+1} = F_{i+1} (s_i + K_i nu_i)``. Then
+``e_i = nu_i + H_i s_i`` (AIME) and ``d_i = s_i + K_i nu_i`` (SRAIME). Both papers form an average weighted by inverse
+covariances; any invertible change of the average leaves the statistic alone, so the weighted sums
+``eta = sum_i W_i e_i`` (or ``W_i T d_i``) are used. The maps come from one backward (adjoint) pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg.lapack import dpotri
+
+from pntegrity.kernels.linear import cholesky
+from pntegrity.kernels.sparse import right, sandwich
+from pntegrity.kernels.windows import inverse_root
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Step(Protocol):
+    """What the kernels read of an update."""
+
+    @property
+    def keys(self) -> tuple[str, ...]: ...
+    @property
+    def F(self) -> FloatArray: ...
+    @property
+    def H(self) -> FloatArray: ...
+    @property
+    def S(self) -> FloatArray: ...
+    @property
+    def L(self) -> FloatArray: ...
+    @property
+    def K(self) -> FloatArray: ...
+    @property
+    def absorbed(self) -> FloatArray: ...
+
+
+def drift_covariances(window: Sequence[Step]) -> list[FloatArray]:
+    """Return ``cov(s_i)``: how far the filter may have moved from the propagator before each update, shapes (n_i, n_i)."""
+    out = [np.zeros_like(window[0].absorbed)]
+    for earlier, later in zip(window, window[1:], strict=False):
+        out.append(sandwich(later.F, out[-1] + earlier.absorbed))
+    return out
+
+
+def inverse_definite(cov: FloatArray) -> FloatArray:
+    """Return the inverse of a symmetric positive definite matrix, from its Cholesky factor."""
+    inverse, _ = dpotri(cholesky(cov), lower=1)
+    lower = np.tril(inverse)
+    return np.ascontiguousarray(lower + np.tril(inverse, -1).T)
+
+
+def innovation_maps(window: Sequence[Step]) -> tuple[tuple[FloatArray, ...], FloatArray]:
+    """Return the maps ``M_j`` of AIME's weighted innovation sum and the sum of its weights (the published covariance).
+
+    Rows are the union of the window's keys, so satellites may rise and set inside it.
+
+    References
+    ----------
+    Yu et al. (2023), SRAIME, eqs (27)-(32); Diesel and King (1995).
+    """
+    union = {k: i for i, k in enumerate(dict.fromkeys(k for u in window for k in u.keys))}
+    rows = [np.array([union[k] for k in u.keys], dtype=np.intp) for u in window]
+    weights = [inverse_definite(u.S + sandwich(u.H, C)) for u, C in zip(window, drift_covariances(window), strict=True)]
+    believed = np.zeros((len(union), len(union)))
+    maps: list[FloatArray] = []
+    Y = np.zeros((len(union), window[-1].K.shape[0]))
+    for i in range(len(window) - 1, -1, -1):
+        u, W, r = window[i], weights[i], rows[i]
+        A = Y @ u.K
+        A[r] += W
+        maps.append(A @ u.L)
+        believed[np.ix_(r, r)] += W
+        if i:
+            Y[r] += right(W, u.H)
+            Y = right(Y, u.F)
+    return tuple(reversed(maps)), believed
+
+
+def state_maps(window: Sequence[Step], blocks: Sequence[npt.NDArray[np.intp]]) -> tuple[tuple[FloatArray, ...], FloatArray]:
+    """Return the maps of SRAIME's weighted state-difference sum and the sum of its weights.
+
+    Parameters
+    ----------
+    window : sequence of updates
+    blocks : sequence of index arrays
+        Where the chosen states stand in each update's layout (the same states throughout).
+
+    References
+    ----------
+    Yu et al. (2023), SRAIME, eqs (37)-(41).
+    """
+    before = drift_covariances(window)
+    d = len(blocks[0])
+    believed = np.zeros((d, d))
+    maps: list[FloatArray] = []
+    Y = np.zeros((d, window[-1].K.shape[0]))
+    for i in range(len(window) - 1, -1, -1):
+        u, b = window[i], blocks[i]
+        root = inverse_root((before[i] + u.absorbed)[np.ix_(b, b)])
+        W = root.T @ root
+        Y[:, b] += W
+        maps.append(Y @ u.K @ u.L)
+        believed += W
+        if i:
+            Y = right(Y, u.F)
+    return tuple(reversed(maps)), believed

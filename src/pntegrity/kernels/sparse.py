@@ -1,0 +1,50 @@
+"""Products with matrices that are stored dense and are mostly zero (F, Q and H of navigation filters)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def left(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Return ``A @ B`` for a mostly-zero `A`: the cost is that of its non-zeros."""
+    out = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            a = A[i, j]
+            if a != 0.0:
+                for k in range(B.shape[1]):
+                    out[i, k] += a * B[j, k]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def right(B: FloatArray, A: FloatArray) -> FloatArray:
+    """Return ``B @ A`` for a mostly-zero `A`."""
+    rows, cols = np.nonzero(A)
+    out = np.zeros((B.shape[0], A.shape[1]))
+    for i in range(B.shape[0]):
+        for k in range(len(rows)):
+            out[i, cols[k]] += B[i, rows[k]] * A[rows[k], cols[k]]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def sandwich(A: FloatArray, P: FloatArray) -> FloatArray:
+    """Return ``A P A^T``, exactly symmetric, for a mostly-zero `A` and a symmetric `P`."""
+    m = A.shape[0]
+    AP = left(A, P)
+    out = np.empty((m, m))
+    for i in range(m):
+        nonzero = np.nonzero(A[i])[0]
+        for k in range(i, m):
+            total = 0.0
+            for j in nonzero:
+                total += A[i, j] * AP[k, j]
+            out[i, k] = total
+            out[k, i] = total
+    return out

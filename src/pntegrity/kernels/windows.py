@@ -1,0 +1,106 @@
+"""Windowed linear tests: y = sum_j A_j nu_j over the last updates, with its exact covariance.
+
+Under the null hypothesis the innovations are white, so with ``nu_j = L_j n_j`` the vector is ``y = sum_j M_j n_j``,
+``M_j = A_j L_j``, and ``cov(y) = sum_j M_j M_j^T`` exactly, whatever rows and states came and went.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A quadratic test of whitened innovations: ``statistic = |metric (sum_j maps_j n_j)|^2``.
+
+    Parameters
+    ----------
+    maps : tuple of ndarray, shapes (d, m_j)
+        ``M_j``, oldest update first.
+    metric : ndarray, shape (r, d)
+        A root of the inverse covariance that the test believes in: the exact one, or a published one.
+    dof : int
+        Degrees of freedom of the chi-square that the threshold is taken from.
+    """
+
+    maps: tuple[FloatArray, ...]
+    metric: FloatArray
+    dof: int
+
+    def statistic(self, white: Sequence[FloatArray]) -> FloatArray:
+        """Return the statistic of the whitened innovations, each of shape (m_j,) or (m_j, runs)."""
+        y = self.metric @ sum(M @ n for M, n in zip(self.maps, white, strict=True))
+        return np.asarray(np.sum(y * y, axis=0))
+
+    def project(self, white: Sequence[FloatArray]) -> FloatArray:
+        """Return ``metric y``, shape (r,) or (r, runs)."""
+        return np.asarray(self.metric @ sum(M @ n for M, n in zip(self.maps, white, strict=True)))
+
+    def covariance(self) -> FloatArray:
+        """Return the exact covariance of ``metric y``: the identity where the metric is the exact one."""
+        T = [self.metric @ M for M in self.maps]
+        return np.asarray(sum(t @ t.T for t in T))
+
+
+def inverse_root(cov: FloatArray, rtol: float = 1e-9) -> FloatArray:
+    """Return `Omega`, shape (rank, d), with ``Omega^T Omega`` the pseudo-inverse of a covariance.
+
+    Directions whose variance is below `rtol` of the largest, after scaling to unit diagonal, are dropped: the rank is
+    the number of degrees of freedom.
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(cov / np.outer(safe, safe))
+    keep = values > rtol * max(values[-1], 0.0) if len(values) else np.zeros(0, dtype=bool)
+    return np.ascontiguousarray((vectors[:, keep] / np.sqrt(values[keep])).T / safe)
+
+
+def definite_inverse_root(cov: FloatArray) -> FloatArray:
+    """Return `Omega` of a covariance that is expected to be positive definite; falls back on `inverse_root`."""
+    from scipy.linalg.lapack import dpotrf, dtrtri
+
+    factor, info = dpotrf(cov, lower=1, clean=1)
+    if info != 0:
+        return inverse_root(cov)
+    root, info = dtrtri(factor, lower=1)
+    return inverse_root(cov) if info != 0 else np.ascontiguousarray(root)
+
+
+def exact_form(maps: tuple[FloatArray, ...]) -> Form:
+    """Return the form with the exact covariance of its own maps; the rank is its degrees of freedom."""
+    cov = sum(M @ M.T for M in maps)
+    metric = definite_inverse_root(np.asarray(cov))
+    return Form(maps, metric, metric.shape[0])
+
+
+def respond(E: FloatArray, F: FloatArray, H: FloatArray, K: FloatArray, f: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Take measurement faults one epoch through a filter.
+
+    A fault `f` on the rows moves the mean of the innovation by ``g = f - H F e`` and the error of the state from ``e`` to
+    ``F e + K g``.
+
+    Parameters
+    ----------
+    E : ndarray, shape (n_previous, c)
+        State errors after the previous epoch, one column a fault.
+    F, H, K : ndarray
+        Transition, Jacobian and gain of this epoch.
+    f : ndarray, shape (m, c)
+        The faults at this epoch.
+
+    Returns
+    -------
+    g : ndarray, shape (m, c)
+        Innovation means.
+    E : ndarray, shape (n, c)
+        State errors after this epoch.
+    """
+    prior = F @ E
+    g = f - H @ prior
+    return g, prior + K @ g

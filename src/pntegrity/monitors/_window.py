@@ -1,0 +1,118 @@
+"""What the quadratic monitors share: a window of updates, a form over it, the verdict and the naming of suspects."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pntegrity.kernels.signatures import Signature, catalogue, masks
+from pntegrity.kernels.tails import chi2_threshold
+from pntegrity.kernels.windows import Form, respond
+from pntegrity.records import FloatArray, Suspect, Update, Verdict
+
+Window = tuple[Update, ...]
+
+
+def slide(window: Window, update: Update, length: int) -> Window:
+    """Return the window with `update` appended, at most `length` long.
+
+    An epoch without rows empties it. A start stands alone: its innovations come from a state that was initialised from
+    the same data, so no later window contains them.
+    """
+    if not update.keys:
+        return ()
+    if is_start(update) or length == 1:
+        return (update,)
+    return (*(u for u in window[1 - length :] if not is_start(u)), update)
+
+
+def is_start(update: Update) -> bool:
+    """Tell whether nothing was inherited from an earlier epoch (a filter's start, any snapshot)."""
+    return not update.F.any()
+
+
+def unavailable(monitor: str, variant: str, update: Update, reason: str) -> Verdict:
+    """Return the verdict of a test that could not be made."""
+    return Verdict(monitor, variant, update.t_ns, "unavailable", reason=reason)
+
+
+def judge(
+    monitor: str, variant: str, window: Window, form: Form, *, p_fa: float, factor: float, consumed: int = 0
+) -> Verdict:
+    """Return the verdict of a quadratic form on the window's last epoch, with suspects where it alarms."""
+    now = window[-1]
+    dof = form.dof - consumed
+    if dof <= 0:
+        return unavailable(monitor, variant, now, no_redundancy(now))
+    white = [u.white for u in window]
+    statistic = float(form.statistic(white))
+    threshold = factor * chi2_threshold(p_fa, dof)
+    if statistic <= threshold:
+        return Verdict(monitor, variant, now.t_ns, "ok", statistic, threshold, p_fa, dof)
+    suspects = name_suspects(window, form)
+    return Verdict(monitor, variant, now.t_ns, "alert", statistic, threshold, p_fa, dof, suspects, is_ambiguous(suspects))
+
+
+def no_redundancy(update: Update) -> str:
+    """Say why an epoch cannot be tested."""
+    if not update.keys:
+        return update.reason or "no measurements"
+    return f"no redundancy: {len(update.keys)} rows, {update.consumed} states initialised from them"
+
+
+def is_ambiguous(suspects: tuple[Suspect, ...], margin: float = 9.0) -> bool:
+    """Tell whether the second suspect explains the data nearly as well (log-likelihood ratio within `margin` / 2)."""
+    return len(suspects) > 1 and suspects[0].statistic - suspects[1].statistic < margin
+
+
+def name_suspects(window: Window, form: Form, most: int = 4) -> tuple[Suspect, ...]:
+    """Return the groups whose fault since the window's start explains the form's vector best.
+
+    For each signature the mean response ``m`` of the form's whitened vector ``y`` is computed; ``(m.y)^2 / m.m`` is
+    what it explains and ``m.y / m.m`` the size. For a window of one epoch this is Baarda's w-test.
+    """
+    signatures = tuple(s for kind in _kinds(window) for s in catalogue(window[-1].keys, kind))
+    means = form.project([w for w in _responses(window, signatures)])
+    y = form.project([u.white for u in window])
+    power = np.sum(means * means, axis=0)
+    safe = np.where(power > 1e-12, power, np.inf)
+    dot = y @ means
+    return best_of_groups(signatures, dot * dot / safe, dot / safe, [window[0].t_ns] * len(signatures), most)
+
+
+def best_of_groups(
+    signatures: tuple[Signature, ...], explained: FloatArray, size: FloatArray, onset_ns: list[int], most: int
+) -> tuple[Suspect, ...]:
+    """Return the best signature of each set of groups as suspects, the most likely first.
+
+    A family stands behind a group only where it explains clearly more, since it contains the group's rows.
+    """
+    best: dict[tuple[str, ...], Suspect] = {}
+    for i in np.argsort(-explained, kind="stable"):
+        s = signatures[i]
+        if s.groups not in best:
+            best[s.groups] = Suspect(s.groups, s.kind, float(size[i]), int(onset_ns[i]), float(explained[i]))
+        if len(best) > most:
+            break
+    return tuple(best.values())[:most]
+
+
+def _kinds(window: Window) -> tuple[str, ...]:
+    return ("bias",) if len(window) == 1 else ("bias", "ramp")
+
+
+def _responses(window: Window, signatures: tuple[Signature, ...]) -> list[FloatArray]:
+    from pntegrity.kernels.linear import whiten
+
+    E = np.zeros((window[0].F.shape[1], len(signatures)))
+    out = []
+    start = window[0].t_ns - _interval(window)
+    for u in window:
+        growing, constant = masks(signatures, u.keys)
+        tau = (u.t_ns - start) * 1e-9
+        g, E = respond(E, u.F, u.H, u.K, growing * tau + constant)
+        out.append(whiten(u.L, g))
+    return out
+
+
+def _interval(window: Window) -> int:
+    return window[1].t_ns - window[0].t_ns if len(window) > 1 else 0

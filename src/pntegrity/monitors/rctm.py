@@ -1,0 +1,68 @@
+"""RCTM: the residual chi-square test of one epoch's innovations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from pntegrity.kernels.windows import Form
+from pntegrity.monitors._window import Window, judge, no_redundancy, slide, unavailable
+from pntegrity.records import Update, Verdict
+
+
+@dataclass(frozen=True)
+class Rctm:
+    """Residual chi-square test: are this epoch's innovations as small as their covariance says?
+
+    Hypothesis: no fault in this epoch, and none that still shows in the prior. Statistic: ``nu^T S^-1 nu``. Threshold:
+    chi-square with as many degrees of freedom as rows, less the states initialised from this very epoch. Assumes white
+    Gaussian innovations of covariance `S`. It cannot see a fault that grows slower than the filter follows. Memory:
+    none. The published and the exact variant are the same.
+
+    Parameters
+    ----------
+    p_fa : float
+        Probability of a false alarm an epoch.
+    variant : str
+        ``"exact"`` or ``"published"``.
+    factor : float
+        Multiplies the threshold (from a calibration).
+
+    References
+    ----------
+    Yu et al. (2023), SRAIME; Zhu et al. (2016).
+
+    Examples
+    --------
+    >>> Rctm(p_fa=1e-6).name
+    'rctm'
+    """
+
+    name: ClassVar[str] = "rctm"
+    p_fa: float = 1e-6
+    variant: Literal["exact", "published"] = "exact"
+    factor: float = 1.0
+
+    def start(self) -> Window:
+        """Return an empty window."""
+        return ()
+
+    def form(self, window: Window) -> Form | None:
+        """Return the linear form of the last update, or None where there are no rows."""
+        if not window or not window[-1].keys:
+            return None
+        m = len(window[-1].keys)
+        return Form((np.eye(m),), np.eye(m), m)
+
+    def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
+        """Test one update."""
+        window = slide((), update, 1)
+        form = self.form(window)
+        if form is None:
+            return unavailable(self.name, self.variant, update, no_redundancy(update)), ()
+        verdict = judge(
+            self.name, self.variant, window, form, p_fa=self.p_fa, factor=self.factor, consumed=update.consumed
+        )
+        return verdict, ()

@@ -1,0 +1,80 @@
+"""SRCTM: the state-domain chi-square test of one epoch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from pntegrity.kernels.windows import Form, inverse_root
+from pntegrity.monitors._window import Window, is_start, judge, no_redundancy, slide, unavailable
+from pntegrity.records import Update, Verdict
+
+
+@dataclass(frozen=True)
+class Srctm:
+    """State-domain chi-square test: did the rows move the state further than they should?
+
+    Hypothesis: as RCTM. Statistic: ``d^T cov(d)^+ d`` with ``d = T (x - x') = T K nu`` over the states of `block`, and
+    ``cov(d) = T (P' - P) T^T`` exactly. Threshold: chi-square; its degrees of freedom are the rank of the covariance
+    (`exact`) or the number of states (`published`, as printed). It cannot see what the rows say beside the chosen
+    states, nor a fault that grows slowly. Memory: none.
+
+    Parameters
+    ----------
+    p_fa, variant, factor
+        As for RCTM.
+    block : str
+        Name of the states that are tested, ``"pos"`` by default; ``""`` stands for all of them.
+
+    References
+    ----------
+    Yu et al. (2023), SRAIME, eqs (34)-(36).
+
+    Examples
+    --------
+    >>> Srctm(block="").block
+    ''
+    """
+
+    name: ClassVar[str] = "srctm"
+    p_fa: float = 1e-6
+    variant: Literal["exact", "published"] = "exact"
+    factor: float = 1.0
+    block: str = "pos"
+
+    def start(self) -> Window:
+        """Return an empty window."""
+        return ()
+
+    def form(self, window: Window) -> Form | None:
+        """Return the linear form of the last update, or None where the chosen states are absent or only just born."""
+        if not window or is_start(window[-1]):
+            return None
+        u = window[-1]
+        b = block_of(u, self.block)
+        if not len(b):
+            return None
+        metric = inverse_root(u.absorbed[np.ix_(b, b)])
+        return Form((u.K[b] @ u.L,), metric, len(b) if self.variant == "published" else metric.shape[0])
+
+    def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
+        """Test one update."""
+        window = slide((), update, 1)
+        form = self.form(window)
+        if form is None:
+            return unavailable(self.name, self.variant, update, state_test_reason(update)), ()
+        return judge(self.name, self.variant, window, form, p_fa=self.p_fa, factor=self.factor), ()
+
+
+def block_of(update: Update, block: str) -> np.ndarray:
+    """Return where the states of `block` stand (all of them for an empty name)."""
+    return np.arange(len(update.prior)) if not block else update.prior.layout.block(block)
+
+
+def state_test_reason(update: Update) -> str:
+    """Say why a test of the state cannot be made."""
+    if not update.keys:
+        return no_redundancy(update)
+    return "no prior: the state was initialised from this epoch's own data" if is_start(update) else "no such states"

@@ -1,0 +1,99 @@
+"""Signals: carrier frequencies, and which signal of a satellite to take first.
+
+A signal is named by RINEX 3's band and attribute (``"1C"``); with the system's letter (``"G"``, ``"R"``, ``"E"``,
+``"C"``, ``"J"``) it is unique. Source: RINEX 3.04 tables 4 to 9 (BeiDou: B1I is ``2I``; ``1I`` of RINEX 3.02 is
+renamed by the reader).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+__all__ = [
+    "DEFAULT_PAIRS", "DEFAULT_SIGNALS", "SPEED_OF_LIGHT_MPS", "WORDS", "frequency_hz", "rinex2_signal",
+]  # fmt: skip
+
+SPEED_OF_LIGHT_MPS = 299_792_458.0
+
+WORDS = {
+    "G": "GPS", "R": "GLONASS", "E": "Galileo", "C": "BeiDou", "J": "QZSS", "I": "NavIC", "S": "SBAS",
+}  # fmt: skip
+"""Names of the systems, for messages."""
+
+DEFAULT_SIGNALS: dict[str, tuple[str, ...]] = {
+    "G": ("1C", "1W", "1P", "1X", "1L", "1S"),
+    "R": ("1C", "1P"),
+    "E": ("1C", "1X", "1B", "1Z", "1A"),
+    "C": ("2I", "2X", "2Q", "6I", "6X", "6Q", "7I"),
+    "J": ("1C", "1Z", "1X", "1L", "1S"),
+}
+"""Single-frequency preference. BeiDou B1C (``1P``, ``1X``) is left out: D1/D2 messages hold no delay for it."""
+
+DEFAULT_PAIRS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "G": (("1C", "1W", "1P"), ("2W", "2P", "2L", "2X", "2S", "2C")),
+    "R": (("1C", "1P"), ("2C", "2P")),
+    "E": (("1C", "1X", "1B"), ("5Q", "5X", "5I", "7Q", "7X", "7I")),
+    "C": (("2I", "2X", "2Q"), ("6I", "6X", "6Q", "7I", "7X", "7Q")),
+    "J": (("1C", "1Z"), ("2L", "2X", "2S")),
+}
+"""First and second frequency of an ionosphere-free pair, each in order of preference."""
+
+
+@lru_cache(maxsize=4096)
+def frequency_hz(system: str, signal: str, glonass_channel: int | None = None) -> float:
+    """Return the carrier frequency of a signal, Hz; nan where it has none or the GLONASS channel is unknown.
+
+    Parameters
+    ----------
+    system : str
+        One letter, or a satellite (``"G05"``): its first letter counts.
+    signal : str
+        Band and attribute, ``"1C"``.
+    glonass_channel : int, optional
+        Frequency channel, -7 to 13, for GLONASS on bands 1 and 2.
+    """
+    import sidereon
+
+    known = sidereon.GnssSystem.__dict__
+    name = {"G": "GPS", "R": "GLONASS", "E": "GALILEO", "C": "BEIDOU", "J": "QZSS", "I": "NAVIC", "S": "SBAS"}
+    if system[0] not in name:
+        return math.nan
+    try:
+        value = sidereon.rinex_band_frequency_hz(known[name[system[0]]], signal[0], glonass_channel)
+    except ValueError:
+        return math.nan
+    return math.nan if value is None else float(value)
+
+
+_RINEX2_C = {
+    "G": {"1": "1C", "2": "2X", "5": "5X"},
+    "J": {"1": "1C", "2": "2X", "5": "5X"},
+    "R": {"1": "1C", "2": "2C"},
+    "E": {"1": "1X", "5": "5X", "6": "6X", "7": "7X", "8": "8X"},
+    "C": {"1": "2I", "2": "2I", "6": "6I", "7": "7I"},
+    "S": {"1": "1C", "5": "5X"},
+}
+
+
+def rinex2_signal(system: str, code: str, declared: frozenset[str]) -> str | None:
+    """Return the RINEX 3 signal of a RINEX 2 code (``"P2"`` -> ``"2W"``), or None where it has none.
+
+    RINEX 2 has one carrier a band: it goes with C/A (``C1``) on the first band and with P(Y) on the second where those
+    are `declared`, as is customary (RINEX 2.11, section 10.1).
+    """
+    kind, band = code[0], code[1]
+    p_signal = {"G": "W", "J": "W", "R": "P"}.get(system)
+    if band not in _RINEX2_C.get(system, {}):
+        return None
+    if kind == "P":
+        return band + p_signal if p_signal and band in "12" else None
+    if kind != "C" and p_signal and _carrier_is_p(band, declared):
+        return band + p_signal
+    return _RINEX2_C[system][band]
+
+
+def _carrier_is_p(band: str, declared: frozenset[str]) -> bool:
+    if band == "1":
+        return "C1" not in declared and "P1" in declared
+    return band == "2" and "P2" in declared

@@ -1,0 +1,47 @@
+"""What an estimator and a monitor must be. Any object with these methods will do; nothing is registered."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from pntegrity.records import Epoch, Prior, State, Update, Verdict
+
+Memory = TypeVar("Memory")
+
+__all__ = ["Estimator", "Monitor"]
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """A filter or a snapshot solver. Both steps are pure: same arguments, same result, nothing kept."""
+
+    def predict(self, state: State, epoch: Epoch) -> Prior:
+        """Return the prior at `epoch` from the last posterior (an empty state: start)."""
+        ...
+
+    def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
+        """Return the update with the rows of `epoch`, but for those of the groups in `exclude`."""
+        ...
+
+
+@runtime_checkable
+class Monitor(Protocol):
+    """A test of updates. Its memory is a value: `step` returns the next one and changes nothing."""
+
+    @property
+    def name(self) -> str:
+        """Short name, as in tables and on the command line."""
+        ...
+
+    @property
+    def variant(self) -> str:
+        """``"exact"`` or ``"published"``."""
+        ...
+
+    def start(self) -> Any:
+        """Return the memory of a monitor that has seen nothing."""
+        ...
+
+    def step(self, memory: Any, update: Update) -> tuple[Verdict, Any]:
+        """Return the verdict on `update` and the memory after it."""
+        ...
