@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.kernels.linear import cholesky, gain, whiten
+from pntegrity.kernels.linear import cholesky, correct_covariance, gain, whiten
 from pntegrity.kernels.sparse import sandwich
 
 FloatArray = npt.NDArray[np.float64]
@@ -165,7 +165,8 @@ class Prior:
     """A prediction: the prior state and the linear step that made it, ``x' = F x + w``, ``w ~ N(0, Q)``.
 
     `consumed` counts the states initialised from this epoch's own data: each takes a degree of freedom from a test of
-    this epoch. `events` tells in words what happened (a start, a clock jump, a gap).
+    this epoch. `events` tells in words what happened (a start, a clock jump, a gap). `context` is what the estimator
+    hands to its own `correct` so that nothing is computed twice.
     """
 
     state: State
@@ -173,6 +174,7 @@ class Prior:
     Q: FloatArray
     consumed: int = 0
     events: tuple[str, ...] = ()
+    context: Any = None
 
     def __post_init__(self) -> None:
         _freeze(self, "F", "Q")
@@ -231,6 +233,87 @@ class Update:
     def __post_init__(self) -> None:
         _freeze(self, "nu", "H", "R", "F", "Q", "spare_nu", "spare_var")
 
+    @staticmethod
+    def of(
+        prior: Prior, keys: tuple[str, ...], nu: npt.ArrayLike, H: npt.ArrayLike, R: npt.ArrayLike, **facts: Any
+    ) -> Update:
+        """Use rows on a prior: the measurement update of a Kalman filter.
+
+        Parameters
+        ----------
+        prior : Prior
+            The predicted state and the step that made it.
+        keys, nu, H, R
+            The rows; see `Update`.
+        **facts
+            Further fields of `Update`: `excluded`, `reason`, `aux`.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            Where the innovation covariance is not positive definite.
+        """
+        nu, H, R = frozen(nu), frozen(H), frozen(R)
+        P = prior.state.P
+        S = sandwich(H, P) + R
+        L = cholesky(S)
+        K = gain(P, H, L)
+        after = correct_covariance(P, H, R, K) if len(keys) else P
+        posterior = State(prior.state.t_ns, prior.state.mean + K @ nu, after, prior.state.layout)
+        update = Update(
+            prior.state.t_ns, keys, nu, H, R, prior.F, prior.Q, prior.state, posterior,
+            consumed=prior.consumed, events=prior.events, **facts,
+        )  # fmt: skip
+        update.__dict__.update(S=frozen(S), L=frozen(L), K=frozen(K))
+        return update
+
+    @staticmethod
+    def from_filter(
+        t_ns: int,
+        *,
+        F: npt.ArrayLike,
+        Q: npt.ArrayLike,
+        H: npt.ArrayLike,
+        R: npt.ArrayLike,
+        P_prior: npt.ArrayLike,
+        nu: npt.ArrayLike,
+        keys: tuple[str, ...] = (),
+        states: tuple[str, ...] = (),
+    ) -> Update:
+        """Wrap one epoch of a filter that you already have, for any monitor.
+
+        Parameters
+        ----------
+        t_ns : int
+            Time in nanoseconds; only differences matter.
+        F, Q : array_like, shapes (n, n) and (n, n)
+            Transition and process noise of the step into this epoch.
+        H, R : array_like, shapes (m, n) and (m, m)
+            Jacobian and covariance of the measurements.
+        P_prior : array_like, shape (n, n)
+            Covariance before the measurements were used.
+        nu : array_like, shape (m,)
+            Innovation, measured minus predicted.
+        keys : tuple of str, optional
+            Names of the rows, ``"<what fails together>:<signal>"``; ``"z0:L"``, ``"z1:L"``, ... where not given.
+        states : tuple of str, optional
+            Names of the states; ``"pos:0"``, ``"pos:1"``, ... where not given.
+
+        Raises
+        ------
+        ValueError
+            Where shapes do not fit, with the shapes.
+        """
+        nu_, P = np.atleast_1d(np.asarray(nu, dtype=np.float64)).ravel(), np.asarray(P_prior, dtype=np.float64)
+        m, n = len(nu_), len(P)
+        H_, R_ = np.atleast_2d(np.asarray(H, dtype=np.float64)), np.atleast_2d(np.asarray(R, dtype=np.float64))
+        if H_.shape != (m, n) or R_.shape != (m, m):
+            raise ValueError(f"`H` {H_.shape} and `R` {R_.shape} do not fit {m} rows and {n} states")
+        names = Layout(states or tuple(f"pos:{i}" for i in range(n)))
+        state = State(t_ns, np.zeros(n), P, names)
+        prior = Prior(state, np.asarray(F, dtype=np.float64), np.asarray(Q, dtype=np.float64))
+        return Update.of(prior, keys or tuple(f"z{i}:L" for i in range(m)), nu_, H_, R_)
+
     @cached_property
     def S(self) -> FloatArray:
         """Innovation covariance, shape (m, m)."""
@@ -255,6 +338,23 @@ class Update:
     def white(self) -> FloatArray:
         """Whitened innovation ``L^-1 nu``: independent unit normals under the null hypothesis, shape (m,)."""
         return frozen(whiten(self.L, self.nu))
+
+    def with_spares(self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, variance: FloatArray) -> Update:
+        """Return the update with rows that were left out: their residuals against the posterior and their variances.
+
+        Parameters
+        ----------
+        keys : tuple of str
+        nu, H, variance : ndarray
+            Innovations against the prior, Jacobian and measurement variances of the rows left out.
+        """
+        step = self.posterior.mean - self.prior.mean
+        spread = variance + np.einsum("ij,jk,ik->i", H, self.posterior.P, H)
+        out = replace(
+            self, spare_keys=keys, spare_nu=nu - H @ step, spare_var=spread, excluded=tuple(dict.fromkeys(map(group_of, keys)))
+        )
+        out.__dict__.update({n: self.__dict__[n] for n in ("S", "L", "K") if n in self.__dict__})
+        return out
 
     def groups(self) -> dict[str, npt.NDArray[np.intp]]:
         """Return the rows of each group, in order of first appearance."""

@@ -1,0 +1,1 @@
+"""From epochs to updates. One estimator a module."""

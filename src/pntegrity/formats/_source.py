@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pntegrity.errors import InputError
 
-__all__ = ["atomic_write", "read_bytes", "read_text"]
+__all__ = ["atomic_write", "read_bytes", "read_text", "with_decimal_version"]
 
 GZIP_MAGIC = b"\x1f\x8b"
 OTHER_ARCHIVES = {
@@ -90,6 +90,14 @@ def _is_binary(data: bytes, sample: int = 8192) -> bool:
 
 
 _ODD = bytes(b for b in range(256) if not (32 <= b < 127 or b in b"\t\n\r"))
+
+
+def with_decimal_version(text: str) -> str:
+    """Return RINEX text whose version has decimals: sidereon refuses the ``2`` that old programs write for ``2.00``."""
+    version = text[:20].split()
+    if version and version[0].isdigit():
+        return f"{float(version[0]):9.2f}" + text[9:]
+    return text
 
 
 def atomic_write(path: Path | str, write: Callable[[], str]) -> None:

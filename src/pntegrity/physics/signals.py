@@ -10,9 +10,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
-__all__ = [
-    "DEFAULT_PAIRS", "DEFAULT_SIGNALS", "SPEED_OF_LIGHT_MPS", "WORDS", "frequency_hz", "rinex2_signal",
-]  # fmt: skip
+__all__ = ["DEFAULT_PAIRS", "DEFAULT_SIGNALS", "SPEED_OF_LIGHT_MPS", "WORDS", "frequency_hz"]
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 
@@ -65,35 +63,3 @@ def frequency_hz(system: str, signal: str, glonass_channel: int | None = None) -
         return math.nan
     return math.nan if value is None else float(value)
 
-
-_RINEX2_C = {
-    "G": {"1": "1C", "2": "2X", "5": "5X"},
-    "J": {"1": "1C", "2": "2X", "5": "5X"},
-    "R": {"1": "1C", "2": "2C"},
-    "E": {"1": "1X", "5": "5X", "6": "6X", "7": "7X", "8": "8X"},
-    "C": {"1": "2I", "2": "2I", "6": "6I", "7": "7I"},
-    "S": {"1": "1C", "5": "5X"},
-}
-
-
-def rinex2_signal(system: str, code: str, declared: frozenset[str]) -> str | None:
-    """Return the RINEX 3 signal of a RINEX 2 code (``"P2"`` -> ``"2W"``), or None where it has none.
-
-    RINEX 2 has one carrier a band: it goes with C/A (``C1``) on the first band and with P(Y) on the second where those
-    are `declared`, as is customary (RINEX 2.11, section 10.1).
-    """
-    kind, band = code[0], code[1]
-    p_signal = {"G": "W", "J": "W", "R": "P"}.get(system)
-    if band not in _RINEX2_C.get(system, {}):
-        return None
-    if kind == "P":
-        return band + p_signal if p_signal and band in "12" else None
-    if kind != "C" and p_signal and _carrier_is_p(band, declared):
-        return band + p_signal
-    return _RINEX2_C[system][band]
-
-
-def _carrier_is_p(band: str, declared: frozenset[str]) -> bool:
-    if band == "1":
-        return "C1" not in declared and "P1" in declared
-    return band == "2" and "P2" in declared

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,9 @@ from pntegrity.physics.time import BDT_OFFSET_NS, BDT_WEEK, WEEK_NS, from_j2000_
 from pntegrity.records import FloatArray
 
 __all__ = ["Klobuchar", "Navigation", "SignalTable"]
+
+MESSAGES = {"gps_lnav", "qzss_lnav", "galileo_inav", "galileo_fnav", "beidou_d1", "beidou_d2"}
+"""Messages whose clocks and group delays are understood here; CNAV and the like are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +137,28 @@ class Navigation:
             self, "glonass_toe_ns", from_j2000_s([r.toe_gpst_j2000_s for r in self.glonass]).reshape(-1)
         )
 
+    def of(self, sat: str, *, fnav: bool = False) -> tuple[tuple[Any, ...], npt.NDArray[np.int64]]:
+        """Return the ephemerides of a satellite and their reference times, rising; of equal times the latest upload last.
+
+        Of Galileo's two messages the one asked for, I/NAV or F/NAV; of GPS and QZSS the legacy message.
+        """
+        return self._index.get((sat, fnav and sat[0] == "E"), ((), np.zeros(0, dtype=np.int64)))
+
+    @cached_property
+    def _index(self) -> dict[tuple[str, bool], tuple[tuple[Any, ...], npt.NDArray[np.int64]]]:
+        found: dict[tuple[str, bool], list[tuple[int, float, int, Any]]] = {}
+        for i, (record, toe) in enumerate(zip(self.kepler, self.kepler_toe_ns.tolist(), strict=True)):
+            if record.message.label in MESSAGES:
+                key = (record.satellite, record.message.label == "galileo_fnav")
+                found.setdefault(key, []).append((toe, _upload_s(record), i, record))
+        for i, (record, toe) in enumerate(zip(self.glonass, self.glonass_toe_ns.tolist(), strict=True)):
+            found.setdefault((record.satellite, False), []).append((toe, 0.0, i, record))
+        out = {}
+        for key, rows in found.items():
+            rows.sort(key=lambda r: r[:3])
+            out[key] = tuple(r[3] for r in rows), np.array([r[0] for r in rows], dtype=np.int64)
+        return out
+
     @property
     def coverage_ns(self) -> tuple[int, int]:
         """First and last reference time of the ephemerides, ns of GPS time."""
@@ -149,6 +175,15 @@ class Navigation:
     def glonass_channels(self) -> dict[str, int]:
         """Frequency channel of each GLONASS satellite."""
         return {r.satellite: int(r.freq_channel) for r in self.glonass}
+
+
+def _upload_s(record: Any) -> float:
+    """Return how long before the reference time the message was sent, negated: the later upload is the larger."""
+    sent = record.transmission_time_sow
+    if sent is None or not 0.0 <= sent <= 604_800.0:  # 0.9999E9 and the like mean: not known
+        return -604_800.0
+    late = sent - record.toe_tow_s
+    return float(late - 604_800.0 * round(late / 604_800.0))
 
 
 def toe_ns(record: Any) -> int:

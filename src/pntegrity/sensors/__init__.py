@@ -1,0 +1,1 @@
+"""What a measurement means: predicted value, Jacobian and standard deviation."""

@@ -1,0 +1,219 @@
+"""The one driver: an epoch in, an outcome out. Running is a loop over `Pipeline.push`.
+
+Everything that changes sits in a `Checkpoint`, a value: keep it, pickle it, go on from it, with the same verdicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide, review
+from pntegrity.protocols import Estimator, Monitor
+from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
+
+__all__ = ["Checkpoint", "Outcome", "Pipeline"]
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What a repair needs of one epoch: the state before it, the epoch, and who was left out."""
+
+    before: State
+    epoch: Epoch
+    excluded: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """All that a pipeline remembers."""
+
+    state: State = field(default_factory=State.empty)
+    memories: tuple[Any, ...] = ()
+    history: tuple[Past, ...] = ()
+    standing: Mapping[str, Standing] = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
+    alert_since_ns: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What happened at one epoch.
+
+    Parameters
+    ----------
+    status : str
+        ``alert`` where a monitor still alarms after exclusion, ``unavailable`` where none could test, else ``ok``.
+    updates : tuple of Update
+        What was committed: the epoch's update, after those of the past that a repair made anew.
+    rewound : int
+        How many earlier updates the first `len(updates) - 1` replace.
+    verdicts, first : tuple of Verdict
+        After the last exclusion, and before any (the same where nothing was excluded).
+    exclusions : tuple of Exclusion
+    readmitted : tuple of str
+    reason : str
+    """
+
+    t_ns: int
+    status: Status
+    updates: tuple[Update, ...]
+    rewound: int
+    verdicts: tuple[Verdict, ...]
+    first: tuple[Verdict, ...]
+    exclusions: tuple[Exclusion, ...] = ()
+    readmitted: tuple[str, ...] = ()
+    reason: str = ""
+
+    @property
+    def update(self) -> Update:
+        """The update of this epoch."""
+        return self.updates[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """One way through the epoch: everything that would be committed."""
+
+    updates: tuple[Update, ...]
+    rewound: int
+    verdicts: tuple[Verdict, ...]
+    memories: tuple[Any, ...]
+    history: tuple[Past, ...]
+
+    @property
+    def excluded(self) -> frozenset[str]:
+        """Who is left out of this epoch."""
+        return self.history[-1].excluded
+
+
+class Pipeline:
+    """Drive an estimator and its monitors through epochs.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    monitors : sequence of Monitor
+    policy : Policy
+    checkpoint : Checkpoint, optional
+        Where to go on from.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        monitors: Sequence[Monitor],
+        policy: Policy | None = None,
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        self.estimator = estimator
+        self.monitors = tuple(monitors)
+        self.policy = policy or Policy()
+        self.checkpoint = checkpoint or Checkpoint(memories=tuple(m.start() for m in self.monitors))
+
+    def push(self, epoch: Epoch) -> Outcome:
+        """Process one epoch and commit once, after the last exclusion.
+
+        Raises
+        ------
+        ValueError
+            Where the epoch is not later than the last one.
+        """
+        now = self.checkpoint
+        if now.state.t_ns and epoch.t_ns <= now.state.t_ns:
+            raise ValueError(f"epoch at {epoch.t_ns} ns is not after the last one at {now.state.t_ns} ns")
+        first = self._attempt(now, epoch, {})
+        last, exclusions, reason = self._resolve(now, epoch, first)
+        outcome, self.checkpoint = self._commit(now, epoch, first, last, exclusions, reason)
+        return outcome
+
+    def _resolve(self, now: Checkpoint, epoch: Epoch, attempt: _Attempt) -> tuple[_Attempt, tuple[Exclusion, ...], str]:
+        """Exclude until no monitor alarms, nothing more can be left out, or the limit is reached."""
+        made: tuple[Exclusion, ...] = ()
+        reasons: list[str] = []
+        previous_ns = now.state.t_ns if len(now.state) else epoch.t_ns
+        while self.policy.exclude and _alert(attempt.verdicts) and len(made) < self.policy.most:
+            decision = decide(attempt.updates[-1], attempt.verdicts, self.policy, previous_ns)
+            new = tuple(e for e in decision.exclusions if e.group not in attempt.excluded)
+            reasons.append(_ambiguity(decision) if new else decision.reason)
+            if not new:
+                break
+            made += new
+            attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made})
+        return attempt, made, join_reasons(reasons)
+
+    def _attempt(self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int]) -> _Attempt:
+        """Run the epoch without the groups in `since`, again from before the earliest onset where that is in the past.
+
+        The monitors begin anew at such a point: what they remembered was made with the faults in it.
+        """
+        margin = {g: max(epoch.t_ns - onset, 0) // 4 for g, onset in since.items()}
+        left_out = {g: onset - margin[g] for g, onset in since.items()}
+        first_ns = min(left_out.values(), default=epoch.t_ns)
+        start = next((i for i, p in enumerate(now.history) if p.epoch.t_ns >= first_ns), len(now.history))
+        again = now.history[start:]
+        state = again[0].before if again else now.state
+        memories: tuple[Any, ...] = tuple(m.start() for m in self.monitors) if again else now.memories
+        updates, history, verdicts = [], list(now.history[:start]), ()
+        for e, already in [(p.epoch, p.excluded) for p in again] + [(epoch, frozenset(now.standing))]:
+            out = already | {g for g, t_ns in left_out.items() if e.t_ns >= t_ns}
+            update = self.estimator.correct(self.estimator.predict(state, e), e, out)
+            verdicts, memories = self._judge(memories, update)
+            history.append(Past(state, e, out))
+            updates.append(update)
+            state = update.posterior
+        return _Attempt(tuple(updates), len(again), verdicts, memories, tuple(history))
+
+    def _judge(self, memories: Sequence[Any], update: Update) -> tuple[tuple[Verdict, ...], tuple[Any, ...]]:
+        pairs = [m.step(memory, update) for m, memory in zip(self.monitors, memories, strict=True)]
+        return tuple(v for v, _ in pairs), tuple(memory for _, memory in pairs)
+
+    def _commit(
+        self, now: Checkpoint, epoch: Epoch, first: _Attempt, last: _Attempt, made: tuple[Exclusion, ...], reason: str
+    ) -> tuple[Outcome, Checkpoint]:
+        update = last.updates[-1]
+        counts = dict(now.counts)
+        standing = dict(now.standing)
+        for e in made:
+            counts[e.group] = counts.get(e.group, 0) + 1
+            standing[e.group] = Standing(e.onset_ns, epoch.t_ns, times=counts[e.group])
+        present = frozenset(k.partition(":")[0] for o in epoch.observations for k in o.keys)
+        after = review(standing, update, present, self.policy)
+        readmitted = tuple(g for g in standing if g not in after)
+        alert = _alert(last.verdicts) or bool(reason)
+        since = (now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns) if alert else None
+        stuck = since is not None and (epoch.t_ns - since) * 1e-9 >= self.policy.restart_s and self.policy.exclude
+        checkpoint = Checkpoint(
+            State.empty(epoch.t_ns) if stuck else update.posterior,
+            last.memories,
+            () if stuck else last.history[-self.policy.history :],
+            {} if stuck else after,
+            counts,
+            None if stuck else since,
+        )
+        if stuck:
+            reason = join_reasons([reason, f"alert unresolved for {self.policy.restart_s:.0f} s: the filter starts anew"])
+        outcome = Outcome(
+            epoch.t_ns, _status(last.verdicts, alert), last.updates, last.rewound, last.verdicts, first.verdicts, made,
+            readmitted, reason or update.reason,
+        )  # fmt: skip
+        return outcome, checkpoint
+
+
+def _alert(verdicts: Sequence[Verdict]) -> bool:
+    return any(v.status == "alert" for v in verdicts)
+
+
+def _status(verdicts: Sequence[Verdict], alert: bool) -> Status:
+    if alert:
+        return "alert"
+    return "unavailable" if all(v.status == "unavailable" for v in verdicts) else "ok"
+
+
+def _ambiguity(decision: Decision) -> str:
+    if not decision.alternatives:
+        return ""
+    chosen = "+".join(e.group for e in decision.exclusions)
+    others = ", ".join("+".join(a) for a in decision.alternatives)
+    return f"ambiguous: {chosen} was left out, but {others} would explain the data nearly as well"

@@ -1,0 +1,89 @@
+"""How large the errors of code and range rate are, and how long they last.
+
+Real code errors are not white: a bias a satellite (orbit, clock, atmosphere, inter-frequency), multipath of some ten
+seconds, and little white noise. The filter carries the first two as first-order Gauss-Markov states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from pntegrity.records import FloatArray
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviations at the zenith, correlation times, and the process noise of motion and clock.
+
+    Parameters
+    ----------
+    code_white_m, code_multipath_m : float
+        Code noise, scaled by ``1 / sin(elevation)`` and by C/N0 (see `scale`).
+    code_multipath_tau_s : float
+        Correlation time of multipath.
+    code_bias_m, code_bias_tau_s : float
+        Slow error of a satellite, not scaled. Zero `code_multipath_m` or `code_bias_m`: no such states.
+    glonass_bias_factor : float
+        GLONASS biases are larger by this (inter-frequency biases).
+    doppler_mps : float
+        Range rate noise, scaled like code.
+    cn0_ref_dbhz : float
+        Below this C/N0 the noise grows, tenfold for 20 dB.
+    accel_mps2 : float
+        White acceleration, m/s^2/sqrt(Hz).
+    clock_m : float
+        Receiver clock, random walk of the phase, m/sqrt(s).
+    clock_drift_mps : float
+        Receiver clock, random walk of the drift, m/s/sqrt(s).
+    isb_m : float
+        Inter-system biases, random walk, m/sqrt(s).
+    factors : tuple of (str, float)
+        Multipliers of the monitors' thresholds, from a calibration.
+    name : str
+        What the reports call the model.
+    """
+
+    code_white_m: float = 0.10
+    code_multipath_m: float = 0.30
+    code_multipath_tau_s: float = 20.0
+    code_bias_m: float = 2.0
+    code_bias_tau_s: float = 3600.0
+    glonass_bias_factor: float = 2.0
+    doppler_mps: float = 0.03
+    cn0_ref_dbhz: float = 40.0
+    accel_mps2: float = 0.5
+    clock_m: float = 0.05
+    clock_drift_mps: float = 0.05
+    isb_m: float = 0.001
+    factors: tuple[tuple[str, float], ...] = ()
+    name: str = "default"
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, float) and not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"noise model: `{f.name}` must be a number of at least 0, not {value}")
+        for tau in ("code_multipath_tau_s", "code_bias_tau_s"):
+            if getattr(self, tau) <= 0.0:
+                raise ValueError(f"noise model: `{tau}` must be above 0, not {getattr(self, tau)}")
+        if self.code_white_m <= 0.0 or self.doppler_mps <= 0.0:
+            raise ValueError("noise model: `code_white_m` and `doppler_mps` must be above 0")
+
+    def factor(self, monitor: str) -> float:
+        """Return the threshold factor of a monitor, 1 where none was calibrated."""
+        return dict(self.factors).get(monitor, 1.0)
+
+    def scale(self, el_rad: FloatArray, cn0_dbhz: FloatArray) -> FloatArray:
+        """Return how much larger than at the zenith the noise is: ``1/sin el``, and more below the reference C/N0."""
+        low = np.nan_to_num(self.cn0_ref_dbhz - cn0_dbhz, nan=0.0)
+        return np.asarray(10.0 ** (np.maximum(low, 0.0) / 20.0) / np.sin(np.maximum(el_rad, np.deg2rad(3.0))))
+
+    def snapshot_sigma_m(self, scale: FloatArray) -> FloatArray:
+        """Return the total standard deviation of a code row, for a solver without error states."""
+        return np.sqrt((self.code_white_m**2 + self.code_multipath_m**2) * scale**2 + self.code_bias_m**2)
+
+
+#: A white model: no correlated states; what the simulations of the literature assume.
+WHITE = NoiseModel(code_white_m=1.0, code_multipath_m=0.0, code_bias_m=0.0, doppler_mps=0.1, name="white")
