@@ -76,7 +76,8 @@ def code_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> Row
         if options.klobuchar is not None:
             delay = klobuchar_m(options.klobuchar, position_m, el, az, o.t_ns, o.aux["freq_hz"])
             predicted = predicted + o.aux["iono_factor"] * delay
-    rows = _rows(o, predicted, g.los, el, az, options)
+    factor = options.noise.code_factor(o.keys)
+    rows = _rows(o, predicted, g.los, el, az, options.noise.scale(el, o.aux["cn0_dbhz"]) * factor)
     return rows.select(el >= options.mask_rad) if on_ground else rows
 
 
@@ -88,7 +89,7 @@ def rate_rows(epoch: Epoch, position_m: FloatArray, velocity_mps: FloatArray, op
     g = geometry(position_m, o.aux["sv_pos_m"])
     el, az, on_ground = _angles(position_m, g.los)
     rate = range_rate(velocity_mps, position_m, o.aux["sv_pos_m"], o.aux["sv_vel_mps"], g.los)
-    rows = _rows(o, rate - o.aux["sv_clk_rate_mps"], g.los, el, az, options)
+    rows = _rows(o, rate - o.aux["sv_clk_rate_mps"], g.los, el, az, options.noise.scale(el, o.aux["cn0_dbhz"]))
     return rows.select(el >= options.mask_rad) if on_ground else rows
 
 
@@ -111,9 +112,8 @@ def _angles(position_m: FloatArray, los: FloatArray) -> tuple[FloatArray, FloatA
     return el, az, True
 
 
-def _rows(o: Observation, predicted: FloatArray, los: FloatArray, el: FloatArray, az: FloatArray, options: GnssOptions) -> Rows:
-    cn0 = o.aux["cn0_dbhz"]
-    return Rows(o.keys, o.y, predicted, los, options.noise.scale(el, cn0), el, az, cn0)
+def _rows(o: Observation, predicted: FloatArray, los: FloatArray, el: FloatArray, az: FloatArray, scale: FloatArray) -> Rows:
+    return Rows(o.keys, o.y, predicted, los, scale, el, az, o.aux["cn0_dbhz"])
 
 
 def system_of(key: str) -> str:

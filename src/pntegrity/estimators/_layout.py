@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.records import FloatArray, Layout
+from pntegrity.records import Layout
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -19,14 +19,6 @@ def survivors(old: Layout, new: Layout) -> tuple[IndexArray, IndexArray, IndexAr
     born = [i for i, n in enumerate(new.names) if n not in old.index]
     pairs = np.array(common, dtype=np.intp).reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1], np.array(born, dtype=np.intp)
-
-
-def carried(old: Layout, new: Layout) -> FloatArray:
-    """Return the rectangular transition that carries the common states over unchanged, shape (n_new, n_old)."""
-    to, source, _ = survivors(old, new)
-    F = np.zeros((len(new), len(old)))
-    F[to, source] = 1.0
-    return F
 
 
 @lru_cache(maxsize=512)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
 from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, rate_rows, snapshot, system_of
-from pntegrity.estimators._layout import carried, columns, survivors
+from pntegrity.estimators._errors import KINDS, error_kinds, error_states, propagate, stationary
+from pntegrity.estimators._layout import columns, survivors
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update, group_of
@@ -45,7 +47,7 @@ class SppKf:
             return self._start(state, epoch, (f"restart after a gap of {dt:.0f} s",))
         moved = state.mean[:3] + dt * state.mean[3:6]
         rows = code_rows(epoch, moved, self.options)
-        layout = _layout(state.layout, rows)
+        layout = _layout(state.layout, rows.keys)
         F, Q = _transition(state.layout, layout, dt, self.options.noise, rows)
         mean = F @ state.mean
         mean, F, Q, consumed, events = _clocks(mean, F, Q, layout, state.layout, rows)
@@ -82,7 +84,7 @@ def start_prior(
     """Return the wide prior around a snapshot fix; the states that the data initialise are counted as consumed."""
     reference = next(iter(fix.clocks_m))
     names = (*MOTION, f"clk:{reference}", "drift", *(f"isb:{s}" for s in fix.clocks_m if s != reference))
-    layout = Layout((*names, *_satellite_states(rows, noise)))
+    layout = Layout((*names, *error_states(rows.keys, error_kinds(noise))))
     mean, sigma = np.zeros(len(layout)), np.zeros(len(layout))
     mean[:3], sigma[:3] = fix.position_m, START_POS_M
     mean[3:6] = 0.0 if fix.velocity_mps is None else fix.velocity_mps
@@ -91,62 +93,52 @@ def start_prior(
     for i, name in enumerate(layout.names[8:], 8):
         if name.startswith("isb:"):
             mean[i], sigma[i] = fix.clocks_m[name[4:]] - fix.clocks_m[reference], START_CLOCK_M
-    _, sat_sigma = _satellite_noise(layout, rows, noise, 0.0)
-    Q = np.diag(sigma**2 + sat_sigma)
+    Q = np.diag(sigma**2)
+    stationary(Q, layout, rows, noise)
     consumed = 3 + len(fix.clocks_m) + (4 if fix.velocity_mps is not None else 0)
     return Prior(State(t_ns, mean, Q, layout), np.zeros((len(layout), n_old)), Q, consumed, events, rows)
 
 
-def _satellite_states(rows: Rows, noise: NoiseModel) -> tuple[str, ...]:
-    kinds = [k for k, s in (("bias", noise.code_bias_m), ("mp", noise.code_multipath_m)) if s > 0.0]
-    return tuple(f"{kind}:{key}" for kind in kinds for key in rows.keys)
-
-
-def _layout(old: Layout, rows: Rows) -> Layout:
+@lru_cache(maxsize=512)
+def _layout(old: Layout, keys: tuple[str, ...]) -> Layout:
+    """Return the layout after `old` with these code rows: constellations stay, satellites come and go."""
     reference = old.names[6].partition(":")[2]
     isb = [n for n in old.names if n.startswith("isb:")]
-    seen = dict.fromkeys(f"isb:{system_of(k)}" for k in rows.keys if system_of(k) != reference)
+    seen = dict.fromkeys(f"isb:{system_of(k)}" for k in keys if system_of(k) != reference)
     isb += [n for n in seen if n not in old.index]
-    kinds = dict.fromkeys(n.partition(":")[0] for n in old.names if n.startswith(("bias:", "mp:")))
-    names = (*MOTION, f"clk:{reference}", "drift", *isb)
-    return Layout((*names, *(f"{kind}:{key}" for kind in kinds for key in rows.keys)))
-
-
-def _satellite_noise(layout: Layout, rows: Rows, noise: NoiseModel, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Return decay (1 where a state is not a satellite's) and stationary variance of every state."""
-    decay, variance = np.ones(len(layout)), np.zeros(len(layout))
-    far = np.array([noise.glonass_bias_factor if system_of(k) == "R" else 1.0 for k in rows.keys])
-    for kind, sigma, tau in (
-        ("bias", noise.code_bias_m * far, noise.code_bias_tau_s),
-        ("mp", noise.code_multipath_m * rows.scale, noise.code_multipath_tau_s),
-    ):
-        i = columns(layout, tuple(f"{kind}:{k}" for k in rows.keys))
-        here = i >= 0
-        decay[i[here]] = np.exp(-dt / tau)
-        variance[i[here]] = sigma[here] ** 2
-    return decay, variance
+    kinds = tuple(k for k in KINDS if any(n.startswith(k + ":") for n in old.names))
+    return Layout((*MOTION, f"clk:{reference}", "drift", *isb, *error_states(keys, kinds)))
 
 
 def _transition(old: Layout, new: Layout, dt: float, noise: NoiseModel, rows: Rows) -> tuple[FloatArray, FloatArray]:
-    F = carried(old, new)
-    decay, variance = _satellite_noise(new, rows, noise, dt)
-    F *= decay[:, None]
-    for i in range(3):
-        F[i, 3 + i] = dt
-    F[6, 7] = dt
-    _, _, born = survivors(old, new)
-    q = variance * (1.0 - decay**2)
-    q[born] = variance[born]
+    """Return the rectangular `F` and the `Q` of a step: what is born has its whole variance in `Q`."""
+    to, source, born = survivors(old, new)
+    n = len(new)
+    step = np.eye(n)
+    propagate(step, new, rows, noise, dt)
+    lasting = np.zeros((n, n))
+    stationary(lasting, new, rows, noise)
+    Q = lasting - sandwich(step, lasting)
+    F = np.zeros((n, len(old)))
+    F[:, source] = step[:, to]
+    fresh = np.zeros(n, dtype=bool)
+    fresh[born] = True
+    F[fresh] = 0.0
+    Q[np.ix_(fresh, fresh)] = lasting[np.ix_(fresh, fresh)]
     isb = new.block("isb")
-    q[isb] = noise.isb_m**2 * dt
-    q[np.intersect1d(isb, born)] = START_CLOCK_M**2
-    Q = np.diag(q)
-    for level, slope, spectral in [(i, i + 3, noise.accel_mps2**2) for i in range(3)] + [(6, 7, noise.clock_drift_mps**2)]:
+    Q[isb, isb] = np.where(fresh[isb], START_CLOCK_M**2, noise.isb_m**2 * dt)
+    _kinematics(F, Q, dt, noise)
+    return F, Q
+
+
+def _kinematics(F: FloatArray, Q: FloatArray, dt: float, noise: NoiseModel) -> None:
+    pairs = [(i, i + 3, noise.accel_mps2**2) for i in range(3)] + [(6, 7, noise.clock_drift_mps**2)]
+    for level, slope, spectral in pairs:
+        F[level, slope] = dt
         Q[level, level] = spectral * dt**3 / 3.0
         Q[level, slope] = Q[slope, level] = spectral * dt**2 / 2.0
         Q[slope, slope] = spectral * dt
     Q[6, 6] += noise.clock_m**2 * dt
-    return F, Q
 
 
 def _clocks(

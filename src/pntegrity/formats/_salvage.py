@@ -1,7 +1,8 @@
 """What can still be read of a damaged observation file.
 
-sidereon's reader is strict: one bad line and the file is refused. Here a refused file is cut at its epoch lines, bad
-epochs are found by halving, and in RINEX 3 and 4 a bad epoch is tried once more without its bad satellite lines.
+sidereon's reader is strict: one bad line and the file is refused. Here a refused file is cut at its epoch
+lines, bad epochs are found by halving, and in RINEX 3 and 4 a bad epoch is tried once more without its bad
+satellite lines.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def parse_observations(text: str, path: Path, notes: list[str]) -> list[Any]:
 
 
 def _short(error: Exception) -> str:
-    return str(error).removeprefix("parse error: ").split(" in \"")[0][:120]
+    return str(error).removeprefix("parse error: ").split(' in "')[0][:120]
 
 
 def _cut(text: str, path: Path, reason: str) -> tuple[str, list[str], int]:
@@ -58,7 +59,9 @@ def _cut(text: str, path: Path, reason: str) -> tuple[str, list[str], int]:
     end = text.find("END OF HEADER")
     if end < 0:
         raise InputError(
-            "the header has no end ('END OF HEADER')", path=path, hint="The file is cut off or not RINEX: get it again"
+            "the header has no end ('END OF HEADER')",
+            path=path,
+            hint="The file is cut off or not RINEX: get it again",
         )
     body = text.find("\n", end) + 1
     header = text[:body] if body else text + "\n"
@@ -66,12 +69,16 @@ def _cut(text: str, path: Path, reason: str) -> tuple[str, list[str], int]:
         sidereon.parse_rinex_obs(header)
     except _REFUSED as error:
         raise InputError(
-            f"the header cannot be read ({_short(error)})", path=path, hint="Correct it, or convert the log again"
+            f"the header cannot be read ({_short(error)})",
+            path=path,
+            hint="Correct it, or convert the log again",
         ) from None
     pattern = _EPOCH2 if text[:9].strip().startswith(("1", "2")) else _EPOCH3
     at = [m.start() for m in pattern.finditer(text, body)] if body else []
     if not at:
-        raise InputError(f"no epoch can be read ({reason})", path=path, hint="Convert the receiver's log again")
+        raise InputError(
+            f"no epoch can be read ({reason})", path=path, hint="Convert the receiver's log again"
+        )
     return header, [text[i:j] for i, j in zip(at, [*at[1:], len(text)], strict=True)], header.count("\n") + 1
 
 
@@ -93,7 +100,9 @@ def _halve(header: str, epochs: list[str], line: int, out: list[Any], bad: Count
 def _mend(header: str, epoch: str, reason: str, out: list[Any], bad: Counter[str]) -> None:
     """Try a bad RINEX 3 epoch without its bad satellite lines."""
     head, *rows = epoch.splitlines()
-    good = [r for r in rows if _reads(header, head, [r])] if head.startswith(">") and head[31:32] in "01" else []
+    good = (
+        [r for r in rows if _reads(header, head, [r])] if head.startswith(">") and head[31:32] in "01" else []
+    )
     if good and _reads(header, head, good):
         out.append(sidereon.parse_rinex_obs(header + _epoch_text(head, good)))
         missing = max(len(rows) - len(good), 1)
@@ -108,7 +117,9 @@ def _epoch_text(head: str, rows: list[str]) -> str:
 
 def _reads(header: str, head: str, rows: list[str]) -> bool:
     try:
-        return int(sidereon.parse_rinex_obs(header + _epoch_text(head, rows)).epoch(0).satellite_count) == len(rows)
+        return int(
+            sidereon.parse_rinex_obs(header + _epoch_text(head, rows)).epoch(0).satellite_count
+        ) == len(rows)
     except (*_REFUSED, IndexError):
         return False
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import os
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 from pntegrity.errors import InputError
@@ -51,7 +50,9 @@ def _raw(path: Path) -> bytes:
     except FileNotFoundError:
         raise InputError("no such file", path=path, hint="Check the path") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read ({error})", path=path, hint="Check the path and its permissions") from None
+        raise InputError(
+            f"cannot be read ({error})", path=path, hint="Check the path and its permissions"
+        ) from None
 
 
 def _gunzip(path: Path, data: bytes) -> bytes:
@@ -93,15 +94,15 @@ _ODD = bytes(b for b in range(256) if not (32 <= b < 127 or b in b"\t\n\r"))
 
 
 def with_decimal_version(text: str) -> str:
-    """Return RINEX text whose version has decimals: sidereon refuses the ``2`` that old programs write for ``2.00``."""
+    """Return RINEX text whose version has decimals: sidereon refuses ``2`` for ``2.00``."""
     version = text[:20].split()
     if version and version[0].isdigit():
         return f"{float(version[0]):9.2f}" + text[9:]
     return text
 
 
-def atomic_write(path: Path | str, write: Callable[[], str]) -> None:
-    """Write the text of `write()` to `path` so that a reader sees the old file or the new one, never a part.
+def atomic_write(path: Path | str, text: str) -> None:
+    """Write `text` to `path` so that a reader sees the old file or the new one, never a part.
 
     Raises
     ------
@@ -109,11 +110,12 @@ def atomic_write(path: Path | str, write: Callable[[], str]) -> None:
         The folder is missing or cannot be written.
     """
     path = Path(path)
-    text = write()
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         temporary.write_text(text, encoding="ascii", errors="replace", newline="\n")
         os.replace(temporary, path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        raise InputError(f"cannot be written ({error})", path=path, hint="Check that its folder exists") from None
+        raise InputError(
+            f"cannot be written ({error})", path=path, hint="Check that its folder exists"
+        ) from None

@@ -11,6 +11,8 @@ import sidereon
 
 from pntegrity.errors import InputError
 from pntegrity.formats._source import read_text, with_decimal_version
+from pntegrity.physics.ephemeris import is_possible, sisa_is_index
+from pntegrity.physics.signals import WORDS
 from pntegrity.physics.tables import Klobuchar, Navigation
 from pntegrity.physics.time import to_iso
 
@@ -70,7 +72,15 @@ def read_navigation(paths: Sequence[Path | str] | Path | str) -> Navigation:
 
 
 def _identity(r: Any) -> tuple[Any, ...]:
-    return r.satellite, r.message.label, r.toe_week, r.toe_tow_s, r.toc_tow_s, r.issue, r.transmission_time_sow
+    return (
+        r.satellite,
+        r.message.label,
+        r.toe_week,
+        r.toe_tow_s,
+        r.toc_tow_s,
+        r.issue,
+        r.transmission_time_sow,
+    )
 
 
 def _check_kind(text: str, path: Path) -> None:
@@ -106,7 +116,38 @@ def _records(text: str, path: Path, notes: list[str]) -> tuple[list[Any], list[A
     lost = Counter(b.kind for b in parsed.other)["glonass"] - len(glonass)
     if lost > 0:
         notes.append(f"{path.name}: {lost} GLONASS ephemerides dropped, they cannot be read")
-    return list(parsed.records), glonass
+    return _possible(list(parsed.records), path, notes), _possible(glonass, path, notes)
+
+
+def _possible(records: list[Any], path: Path, notes: list[str]) -> list[Any]:
+    """Return the records that can describe a satellite's orbit and clock, noting the others.
+
+    Where most messages of a system are impossible (a writer's wrong unit), the rest of that system is not
+    trusted.
+    """
+    possible = [is_possible(r) for r in records]
+    total = Counter(r.satellite[0] for r in records)
+    wrong = Counter(r.satellite[0] for r, p in zip(records, possible, strict=True) if not p)
+    worst = {s for s, n in wrong.items() if 2 * n > total[s]}
+    good = [r for r, p in zip(records, possible, strict=True) if p and r.satellite[0] not in worst]
+    bad = (
+        [r for r, p in zip(records, possible, strict=True) if not p or r.satellite[0] in worst]
+        if wrong
+        else []
+    )
+    if bad:
+        sats = sorted({r.satellite for r in bad})
+        names = ", ".join(sats[:6]) + (", ..." if len(sats) > 6 else "")
+        of_all = f"; all of {', '.join(WORDS[s] for s in sorted(worst))}" if worst else ""
+        notes.append(
+            f"{path.name}: {len(bad)} ephemerides dropped, orbit or clock impossible ({names}{of_all})"
+        )
+    odd = sum(1 for r in records if r.satellite[0] == "E" and sisa_is_index(r))
+    if odd:
+        notes.append(
+            f"{path.name}: {odd} Galileo accuracies are written as an index, not in metres; read as such"
+        )
+    return good
 
 
 def _source(path: Path, nav: Navigation) -> str:

@@ -1,7 +1,8 @@
 """RINEX 2, 3 and 4 observation files, plain, CRINEX (Hatanaka) or gzip -> `SignalTable`.
 
-Parsing is sidereon's (which also renames RINEX 2 codes: C1 -> C1C, P2 -> C2W). Its reader refuses a whole file for one
-bad line; what it refuses is cut at the epoch headers and the bad pieces are left out, each with a note (`_salvage`).
+Parsing is sidereon's (which also renames RINEX 2 codes: C1 -> C1C, P2 -> C2W). Its reader refuses a whole
+file for one bad line; what it refuses is cut at the epoch headers and the bad pieces are left out, each with
+a note (`_salvage`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import sidereon
 
 from pntegrity.errors import InputError
 from pntegrity.formats._salvage import decode_crinex, parse_observations
@@ -38,7 +38,7 @@ KINDS = "CLDS"
 
 @dataclass(frozen=True)
 class _Block:
-    """Epochs under one header segment: `sats` (m,) with `counts` an epoch, `values` as many as the header's codes say."""
+    """Epochs under one header segment: `sats` with `counts` an epoch, a value for each code of each."""
 
     t_ns: npt.NDArray[np.int64]
     counts: npt.NDArray[np.int64]
@@ -97,7 +97,7 @@ def _check_kind(text: str, path: Path) -> None:
         )
 
 
-# --- from sidereon's product to blocks ---------------------------------------------------------------------------------
+# --- from sidereon's product to blocks ----------------------------------------------------------------------
 
 
 def _blocks(obs: Any, notes: list[str]) -> list[_Block]:
@@ -107,7 +107,9 @@ def _blocks(obs: Any, notes: list[str]) -> list[_Block]:
     _note_events(obs.epochs, notes)
     segments = obs.header_timeline().segments()
     starts = [i for i, _ in segments] + [obs.epoch_count]
-    return [_block(obs, range(starts[k], starts[k + 1]), h, shift, notes) for k, (_, h) in enumerate(segments)]
+    return [
+        _block(obs, range(starts[k], starts[k + 1]), h, shift, notes) for k, (_, h) in enumerate(segments)
+    ]
 
 
 def _block(obs: Any, indices: range, header: Any, shift: tuple[str, int], notes: list[str]) -> _Block:
@@ -178,27 +180,33 @@ def _note_orphans(text: str, pieces: Sequence[Any], notes: list[str]) -> None:
         notes.append(f"{orphans} satellite lines skipped: the count on their epoch line is too low")
 
 
-# --- from blocks to the table ------------------------------------------------------------------------------------------
+# --- from blocks to the table -------------------------------------------------------------------------------
 
 
 def _table(blocks: Sequence[_Block], header: Any, path: Path, notes: list[str]) -> SignalTable:
     t_all = np.concatenate([b.t_ns for b in blocks]) if blocks else np.zeros(0, dtype=np.int64)
     if not len(t_all):
         raise InputError(
-            "no epoch with observations in this file", path=path, hint="Is it cut off after its header? Log it again"
+            "no epoch with observations in this file",
+            path=path,
+            hint="Is it cut off after its header? Log it again",
         )
     first = np.cumsum([0] + [len(b.t_ns) for b in blocks])
     parts = [p for b, i in zip(blocks, first, strict=False) for p in _columns(b, int(i), notes)]
     if not parts:
         raise InputError(
-            "the header declares no observation types that can be used", path=path, hint="Check its TYPES records"
+            "the header declares no observation types that can be used",
+            path=path,
+            hint="Check its TYPES records",
         )
     c = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
     keep = _rising(t_all, notes)
     used = np.flatnonzero(keep[c["epoch"]])
     if not len(used):
         raise InputError(
-            "every observation in this file is blank or zero", path=path, hint="Check the receiver's logging set-up"
+            "every observation in this file is blank or zero",
+            path=path,
+            hint="Check the receiver's logging set-up",
         )
     # Sorting by small integers: (epoch, satellite, signal) in one key.
     key = (c["epoch"][used] << 40) | (c["sat"][used] << 16) | c["signal"][used]
@@ -216,6 +224,7 @@ def _table(blocks: Sequence[_Block], header: Any, path: Path, notes: list[str]) 
         lli=c["lli"].astype(np.int8),
         **_header_facts(header, t_all[keep]),
         notes=tuple(notes),
+        source=str(path),
     )
 
 
@@ -279,7 +288,7 @@ def _names(codes: npt.NDArray[np.int64], shifts: tuple[int, ...]) -> npt.NDArray
 
 
 def _rising(t_ns: npt.NDArray[np.int64], notes: list[str]) -> npt.NDArray[np.bool_]:
-    """Return which epochs come later than all kept before them (and not absurdly later), noting the others."""
+    """Return which epochs come later than all kept before them, and not absurdly later; note the others."""
     keep = np.ones(len(t_ns), dtype=bool)
     steps = np.diff(t_ns)
     if len(steps) and not np.all((steps > 0) & (steps < MAX_JUMP_NS)):
@@ -296,7 +305,9 @@ def _rising(t_ns: npt.NDArray[np.int64], notes: list[str]) -> npt.NDArray[np.boo
 
 def _header_facts(header: Any, t_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
     position, delta = header.approx_position_m, header.antenna_delta_hen_m
-    usable = position is not None and bool(np.all(np.isfinite(position))) and float(np.linalg.norm(position)) > 1e6
+    usable = (
+        position is not None and bool(np.all(np.isfinite(position))) and float(np.linalg.norm(position)) > 1e6
+    )
     interval = header.interval_s
     if not interval and len(t_ns) > 1:
         steps, n = np.unique(np.diff(t_ns), return_counts=True)

@@ -3,11 +3,13 @@
 For a hypothesis whose unit fault moves the innovation mean by ``g_k`` (see `windows.respond`), the log-likelihood ratio
 is ``num^2 / (2 den)`` with ``num = sum g_k^T S_k^-1 nu_k`` and ``den = sum g_k^T S_k^-1 g_k``; ``num / sqrt(den)`` is a
 unit normal without a fault. Correlations of hypotheses are sums of the same kind, so that the threshold on the largest
-of them is exact enough to hold its false-alarm rate (see `tails.effective_tests`).
+of them is exact enough to hold its false-alarm rate (see `tails.effective_tests`). Everything but ``num`` is free of
+data: a `Bank` is carried once, and any number of runs of ``num`` beside it (see `MaximumTest`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +17,14 @@ import numpy.typing as npt
 from numba import njit
 
 from pntegrity.kernels.linear import whiten
-from pntegrity.kernels.signatures import Signature, masks
+from pntegrity.kernels.signatures import Signature
 from pntegrity.kernels.sparse import left
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+LEAST = 1e-9
+"""Least ``den`` of a hypothesis that is tested: what moves the innovations less, nobody sees."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """The running sums of one kind of fault; shapes: s signatures, o onsets, n states.
+    """The data-free part of one kind of fault; shapes: s signatures, o onsets, n states.
 
     Parameters
     ----------
@@ -53,7 +58,6 @@ class Bank:
         Epoch counter and time at which each hypothesis starts (a ramp is zero one interval before).
     E : ndarray, shape (n, s, o)
         State error of a unit fault.
-    num, den : ndarray, shape (s, o)
     gram : ndarray, shape (s, o, o)
         ``sum g_a^T S^-1 g_b`` of the onsets of one signature.
     """
@@ -62,69 +66,143 @@ class Bank:
     onset: IntArray
     onset_ns: IntArray
     E: FloatArray
-    num: FloatArray
-    den: FloatArray
     gram: FloatArray
+
+    @property
+    def den(self) -> FloatArray:
+        """``sum g^T S^-1 g``, shape (s, o): the diagonal of `gram`."""
+        return np.asarray(np.diagonal(self.gram, axis1=1, axis2=2))
+
+
+@dataclass(frozen=True, eq=False)
+class MaximumTest:
+    """One epoch of a bank, without data: what becomes of ``num``, and what its largest normalised square is held against.
+
+    Hypotheses are flat, shape (h,): bank after bank, signature after signature, onset after onset.
+
+    Parameters
+    ----------
+    banks : tuple of Bank
+        The banks after the epoch.
+    source : ndarray of int, shape (h,)
+        Where each hypothesis stood in the epoch before, -1 for one that begins now.
+    response : ndarray, shape (h, m)
+        Whitened innovation mean of the unit fault.
+    inverse : ndarray, shape (h,)
+        ``1 / den``, 0 where the hypothesis is not tested now.
+    rho : ndarray, shape (tested,)
+        Correlation of each tested hypothesis with its parent (see `tails.effective_tests`).
+    threshold, p_fa : float
+        Threshold on the largest ``num^2 / den``, and the false-alarm probability that it stands for.
+    reason : str
+        Why no test is possible, where none is.
+    """
+
+    banks: tuple[Bank, ...]
+    source: IntArray
+    response: FloatArray
+    inverse: FloatArray
+    rho: FloatArray
+    threshold: float = float("inf")
+    p_fa: float = 0.0
+    reason: str = ""
+
+    @staticmethod
+    def impossible(reason: str) -> MaximumTest:
+        """Return the test of an epoch without rows."""
+        none = np.zeros(0)
+        return MaximumTest((), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), none, none, reason=reason)
+
+    def carry(self, num: FloatArray, white: FloatArray) -> FloatArray:
+        """Return ``num`` after the epoch, shape (h,) or (h, runs), from the one before and whitened innovations."""
+        none = np.zeros((1, *num.shape[1:]))
+        return np.asarray(np.concatenate((num, none))[self.source] + self.response @ white)
+
+    def hypothesis(self, index: int) -> tuple[Signature, int]:
+        """Return the signature and the onset (ns) of a flat hypothesis."""
+        for bank in self.banks:
+            s, o = len(bank.signatures), len(bank.onset)
+            if index < s * o:
+                return bank.signatures[index // o], int(bank.onset_ns[index % o])
+            index -= s * o
+        raise IndexError(f"no hypothesis {index} in the bank")
 
 
 def empty_bank() -> Bank:
     """Return a bank without hypotheses."""
     none = np.zeros(0, dtype=np.int64)
-    return Bank((), none, none, np.zeros((0, 0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0, 0)))
+    return Bank((), none, none, np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
 
 
 def rearrange(
     bank: Bank, signatures: tuple[Signature, ...], schedule: Schedule, count: int, start_ns: int
-) -> Bank:
-    """Return the bank with onsets thinned, one begun at `count` where it is due, and rows for `signatures`."""
-    kept = np.flatnonzero(schedule.keep(bank.onset, count))
-    fresh = count % schedule.step == 0
-    onset = np.append(bank.onset[kept], count) if fresh else bank.onset[kept]
-    onset_ns = np.append(bank.onset_ns[kept], start_ns) if fresh else bank.onset_ns[kept]
-    old, new = _matching(bank.signatures, signatures)
-    s, o, k = len(signatures), len(onset), len(kept)
-    E = np.zeros((bank.E.shape[0], s, o))
-    num, den, gram = np.zeros((s, o)), np.zeros((s, o)), np.zeros((s, o, o))
-    if k and len(old):
-        E[:, new, :k] = bank.E[:, old][:, :, kept]
-        num[new, :k], den[new, :k] = bank.num[old][:, kept], bank.den[old][:, kept]
-        gram[new, :k, :k] = bank.gram[old][:, kept][:, :, kept]
-    return Bank(signatures, onset, onset_ns, E, num, den, gram)
+) -> tuple[Bank, IntArray]:
+    """Return the bank with onsets thinned, one begun at `count` where it is due, and rows for `signatures`.
+
+    The second value is where each hypothesis stood before (flat, shape (s * o,)), -1 for those begun now.
+    """
+    stood = np.flatnonzero(schedule.keep(bank.onset, count))
+    onset, onset_ns = bank.onset[stood], bank.onset_ns[stood]
+    if count % schedule.step == 0:
+        stood, onset, onset_ns = np.append(stood, -1), np.append(onset, count), np.append(onset_ns, start_ns)
+    was = _matching(bank.signatures, signatures)
+    E, gram, source = _gather(bank.E, bank.gram, was, stood)
+    return Bank(signatures, onset, onset_ns, E, gram), source
 
 
-def _matching(old: tuple[Signature, ...], new: tuple[Signature, ...]) -> tuple[IntArray, IntArray]:
-    if old is new or old == new:
-        every = np.arange(len(new))
-        return every, every
+def _matching(old: tuple[Signature, ...], new: tuple[Signature, ...]) -> IntArray:
+    """Return where each of `new` stands in `old`, -1 for a new one."""
+    if old is new:
+        return np.arange(len(new))
     where = {s: i for i, s in enumerate(old)}
-    pairs = [(where[s], i) for i, s in enumerate(new) if s in where]
-    both = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return both[:, 0], both[:, 1]
+    return np.array([where.get(s, -1) for s in new], dtype=np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _gather(
+    E: FloatArray, gram: FloatArray, was: IntArray, stood: IntArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    n, old, s, o = E.shape[0], E.shape[2], len(was), len(stood)
+    E_new, gram_new = np.zeros((n, s, o)), np.zeros((s, o, o))
+    source = np.full(s * o, -1, dtype=np.int64)
+    for i in range(s):
+        for a in range(o):
+            if was[i] < 0 or stood[a] < 0:
+                continue
+            source[i * o + a] = was[i] * old + stood[a]
+            for k in range(n):
+                E_new[k, i, a] = E[k, was[i], stood[a]]
+            for b in range(o):
+                if stood[b] >= 0:
+                    gram_new[i, a, b] = gram[was[i], stood[a], stood[b]]
+    return E_new, gram_new, source
 
 
 def advance(
-    bank: Bank, t_ns: int, keys: tuple[str, ...], F: FloatArray, H: FloatArray, L: FloatArray, K: FloatArray, white: FloatArray
-) -> Bank:
-    """Return the bank after one update (see `windows.respond`; `white` is ``L^-1 nu``)."""
-    s, o = bank.num.shape
-    growing, constant = masks(bank.signatures, keys)
+    bank: Bank, t_ns: int, touched: tuple[FloatArray, FloatArray], F: FloatArray, H: FloatArray, L: FloatArray, K: FloatArray
+) -> tuple[Bank, FloatArray]:
+    """Return the bank after one update and the whitened responses, shape (s * o, m), of its hypotheses.
+
+    `touched` holds the rows that grow with time and the rows that jump, each (m, s) (see `signatures.masks`).
+    """
+    s, o = len(bank.signatures), len(bank.onset)
+    growing, constant = touched
     tau = (t_ns - bank.onset_ns) * 1e-9
     E = bank.E.reshape(-1, s * o) if bank.E.shape[0] == F.shape[1] else np.zeros((F.shape[1], s * o))
     prior = left(F, E)
-    g = np.multiply.outer(growing, tau) + constant[:, :, None]
-    g = g.reshape(len(keys), s * o)
+    g = (growing[:, :, None] * tau + constant[:, :, None]).reshape(-1, s * o)
     g -= left(H, prior)
-    w = whiten(L, g)
-    num, den, gram = _accumulate(w.reshape(len(keys), s, o), white, bank.num, bank.den, bank.gram)
-    return Bank(bank.signatures, bank.onset, bank.onset_ns, (prior + K @ g).reshape(-1, s, o), num, den, gram)
+    by_signature = np.ascontiguousarray(whiten(L, g).T).reshape(s, o, -1)
+    gram = bank.gram + by_signature @ by_signature.transpose(0, 2, 1)
+    after = Bank(bank.signatures, bank.onset, bank.onset_ns, (prior + K @ g).reshape(-1, s, o), gram)
+    return after, by_signature.reshape(s * o, -1)
 
 
-def _accumulate(
-    w: FloatArray, white: FloatArray, num: FloatArray, den: FloatArray, gram: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    by_signature = np.ascontiguousarray(w.transpose(1, 2, 0))
-    inner = by_signature @ by_signature.transpose(0, 2, 1)
-    return num + by_signature @ white, den + np.einsum("soo->so", inner), gram + inner
+def stack_sources(sources: Sequence[IntArray], sizes: Sequence[int]) -> IntArray:
+    """Return flat sources of banks that stand one after another; `sizes` are their numbers of hypotheses before."""
+    offsets = np.concatenate(([0], np.cumsum(sizes)[:-1]))
+    moved = [np.where(source < 0, source, source + at) for source, at in zip(sources, offsets, strict=True)]
+    return np.concatenate(moved).astype(np.int64)
 
 
 @njit(cache=True, nogil=True)
@@ -134,11 +212,11 @@ def parents(gram: FloatArray, tested: npt.NDArray[np.bool_]) -> FloatArray:
     rho = np.full((s, o), -1.0)
     for i in range(s):
         for b in range(o):
-            if not tested[b] or gram[i, b, b] <= 1e-12:
+            if not tested[b] or gram[i, b, b] <= LEAST:
                 continue
             best = 0.0
             for a in range(b):
-                if tested[a] and gram[i, a, a] > 1e-12:
+                if tested[a] and gram[i, a, a] > LEAST:
                     r = abs(gram[i, a, b]) / np.sqrt(gram[i, a, a] * gram[i, b, b])
                     best = max(best, r)
             rho[i, b] = best

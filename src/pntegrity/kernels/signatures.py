@@ -96,3 +96,9 @@ def masks(signatures: tuple[Signature, ...], keys: tuple[str, ...]) -> tuple[Flo
     growing.flags.writeable = False
     constant.flags.writeable = False
     return growing, constant
+
+
+@lru_cache(maxsize=256)
+def rows_touched(keys: tuple[str, ...], kind: str) -> tuple[FloatArray, FloatArray]:
+    """Return the `masks` of the whole `catalogue` of one kind."""
+    return masks(catalogue(keys, kind), keys)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import erfc, sqrt
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 from scipy import special
 
 FloatArray = npt.NDArray[np.float64]
@@ -98,14 +100,26 @@ def effective_tests(rho_parent: FloatArray, h: float) -> float:
     ----------
     Hunter, D. (1976), An upper bound for the probability of a union, J. Appl. Prob. 13, 597-603.
     """
-    table = exceedance_table()
-    position = np.clip((h - H_GRID[0]) / (H_GRID[1] - H_GRID[0]), 0.0, len(H_GRID) - 1.000001)
-    row = int(position)
-    kappa = table[row] + (position - row) * (table[row + 1] - table[row])
-    u = np.sqrt(np.maximum(1.0 - np.abs(rho_parent), 0.0))
-    known = np.interp(1.0 - u, np.linspace(0.0, 1.0, 257), kappa)
-    independent = float(two_sided_tail(h))
-    return float(len(rho_parent) - np.where(rho_parent == 0.0, independent, known).sum() + independent)
+    position = (h - H_GRID[0]) / (H_GRID[1] - H_GRID[0])
+    position = min(max(position, 0.0), len(H_GRID) - 1.000001)
+    return float(_unlinked(exceedance_table(), rho_parent, position, erfc(h / sqrt(2.0))))
+
+
+@njit(cache=True, nogil=True)
+def _unlinked(table: FloatArray, rho: FloatArray, position: float, independent: float) -> float:
+    """Return ``1 + sum (1 - kappa)`` over all tests but one root; `position` is where the threshold stands in the table."""
+    row, cells = int(position), table.shape[1] - 1
+    part, total = position - row, independent
+    for r in rho:
+        if r == 0.0:
+            total += 1.0 - independent
+            continue
+        at = (1.0 - np.sqrt(max(1.0 - abs(r), 0.0))) * cells
+        i = min(int(at), cells - 1)
+        low = table[row, i] + (at - i) * (table[row, i + 1] - table[row, i])
+        high = table[row + 1, i] + (at - i) * (table[row + 1, i + 1] - table[row + 1, i])
+        total += 1.0 - low - part * (high - low)
+    return total
 
 
 def max_threshold(rho_parent: FloatArray, p_fa: float) -> float:

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from pntegrity.kernels.bank import Bank, Schedule, advance, empty_bank, parents, rearrange
-from pntegrity.kernels.signatures import Signature, catalogue
+from pntegrity.kernels.bank import (
+    Bank, IntArray, MaximumTest, Schedule, advance, empty_bank, parents, rearrange, stack_sources,
+)  # fmt: skip
+from pntegrity.kernels.signatures import catalogue, rows_touched
 from pntegrity.kernels.tails import max_threshold
 from pntegrity.monitors._window import best_of_groups, is_ambiguous, is_start, no_redundancy, unavailable
-from pntegrity.records import FloatArray, Update, Verdict
+from pntegrity.records import FloatArray, Suspect, Update, Verdict
 
 KINDS: tuple[Literal["bias", "ramp"], ...] = ("bias", "ramp")
 
 
 @dataclass(frozen=True, eq=False)
 class GlrMemory:
-    """What the GLR keeps: an epoch counter, the last time, one bank a kind."""
+    """What the GLR keeps: an epoch counter, the last time, one bank a kind, and the sums of the hypotheses (flat)."""
 
     count: int
     last_ns: int
     banks: tuple[Bank, ...]
+    num: FloatArray
 
 
 @dataclass(frozen=True)
@@ -75,53 +78,69 @@ class Glr:
 
     def start(self) -> GlrMemory:
         """Return empty banks."""
-        return GlrMemory(0, 0, tuple(empty_bank() for _ in KINDS))
+        return GlrMemory(0, 0, tuple(empty_bank() for _ in KINDS), np.zeros(0))
 
-    def advance(self, memory: GlrMemory, update: Update) -> GlrMemory:
-        """Return the banks after `update`."""
+    def plan(self, memory: GlrMemory, update: Update) -> tuple[MaximumTest, GlrMemory]:
+        """Return the test of `update`, without data, and the memory after it, but for its sums (`num`)."""
+        if not update.keys:
+            return MaximumTest.impossible(no_redundancy(update)), self.start()
         if is_start(update):
             memory = self.start()
-        start_ns = memory.last_ns if memory.count else update.t_ns
-        banks = []
-        for kind, schedule, bank in zip(KINDS, self.schedules, memory.banks, strict=True):
-            ready = rearrange(bank, catalogue(update.keys, kind), schedule, memory.count, start_ns)
-            banks.append(advance(ready, update.t_ns, update.keys, update.F, update.H, update.L, update.K, update.white))
-        return GlrMemory(memory.count + 1, update.t_ns, tuple(banks))
+        banks, source, response = self._carried(memory, update)
+        after = GlrMemory(memory.count + 1, update.t_ns, banks, np.zeros(0))
+        inverse, rho = self._tested(after)
+        if len(update.keys) <= update.consumed or not len(rho):
+            none = np.zeros_like(inverse)
+            return MaximumTest(banks, source, response, none, rho, reason=no_redundancy(update)), after
+        threshold = self.factor * max_threshold(rho, self.p_fa) ** 2
+        return MaximumTest(banks, source, response, inverse, rho, threshold, self.p_fa), after
 
     def step(self, memory: GlrMemory, update: Update) -> tuple[Verdict, GlrMemory]:
         """Test the bank after `update`."""
+        test, after = self.plan(memory, update)
         if not update.keys:
-            return unavailable(self.name, self.variant, update, no_redundancy(update)), self.start()
-        after = self.advance(memory, update)
-        signatures, onset_ns, num, den, rho = self._candidates(after)
-        if len(update.keys) <= update.consumed or not len(num):
-            return unavailable(self.name, self.variant, update, no_redundancy(update)), after
-        threshold = self.factor * max_threshold(rho, self.p_fa) ** 2
-        explained = num * num / den
-        statistic = float(explained.max())
-        status: Literal["ok", "alert"] = "alert" if statistic > threshold else "ok"
-        suspects = ()
-        if status == "alert":
-            suspects = best_of_groups(signatures, explained, num / den, list(onset_ns), most=4)
-        return (
-            Verdict(
-                self.name, self.variant, update.t_ns, status, statistic, threshold, self.p_fa, 1, suspects, is_ambiguous(suspects)
-            ),
-            after,
-        )
+            return unavailable(self.name, self.variant, update, test.reason), after
+        num = test.carry(memory.num, update.white)
+        return self._judge(test, num, update), replace(after, num=num)
 
-    def _candidates(
-        self, memory: GlrMemory
-    ) -> tuple[tuple[Signature, ...], FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return signature, onset, sums and parent correlation of every hypothesis that is tested now."""
-        signatures: list[Signature] = []
-        onset, num, den, rho = [], [], [], []
+    def _judge(self, test: MaximumTest, num: FloatArray, update: Update) -> Verdict:
+        if test.reason:
+            return unavailable(self.name, self.variant, update, test.reason)
+        statistic = float((num * num * test.inverse).max())
+        facts = (statistic, test.threshold, self.p_fa, 1)
+        if statistic <= test.threshold:
+            return Verdict(self.name, self.variant, update.t_ns, "ok", *facts)
+        suspects = _suspects(test, num)
+        return Verdict(self.name, self.variant, update.t_ns, "alert", *facts, suspects, is_ambiguous(suspects))
+
+    def _carried(self, memory: GlrMemory, update: Update) -> tuple[tuple[Bank, ...], IntArray, FloatArray]:
+        """Return the banks after `update`, where their hypotheses stood before, and their whitened responses."""
+        start_ns = memory.last_ns if memory.count else update.t_ns
+        banks, sources, responses = [], [], []
+        for kind, schedule, bank in zip(KINDS, self.schedules, memory.banks, strict=True):
+            ready, source = rearrange(bank, catalogue(update.keys, kind), schedule, memory.count, start_ns)
+            after, response = advance(
+                ready, update.t_ns, rows_touched(update.keys, kind), update.F, update.H, update.L, update.K
+            )
+            banks.append(after)
+            sources.append(source)
+            responses.append(response)
+        sizes = [b.den.size for b in memory.banks]
+        return tuple(banks), stack_sources(sources, sizes), np.concatenate(responses)
+
+    def _tested(self, memory: GlrMemory) -> tuple[FloatArray, FloatArray]:
+        """Return ``1 / den`` of every hypothesis (0 where it is not tested) and the parent correlation of the tested."""
+        inverse, rho = [], []
         for schedule, bank in zip(self.schedules, memory.banks, strict=True):
-            linked = parents(bank.gram, schedule.tested(bank.onset, memory.count - 1))
-            s, o = np.nonzero((linked >= 0.0) & (bank.den > 1e-9))
-            signatures += [bank.signatures[i] for i in s]
-            onset.append(bank.onset_ns[o])
-            num.append(bank.num[s, o])
-            den.append(bank.den[s, o])
-            rho.append(linked[s, o])
-        return tuple(signatures), np.concatenate(onset), np.concatenate(num), np.concatenate(den), np.concatenate(rho)
+            linked = parents(bank.gram, schedule.tested(bank.onset, memory.count - 1)).ravel()
+            tested = linked >= 0.0
+            inverse.append(np.divide(1.0, bank.den.ravel(), out=np.zeros(len(linked)), where=tested))
+            rho.append(linked[tested])
+        return np.concatenate(inverse), np.concatenate(rho)
+
+
+def _suspects(test: MaximumTest, num: FloatArray) -> tuple[Suspect, ...]:
+    tested = np.flatnonzero(test.inverse)
+    named = [test.hypothesis(int(i)) for i in tested]
+    size = num[tested] * test.inverse[tested]
+    return best_of_groups(tuple(s for s, _ in named), num[tested] * size, size, [t for _, t in named], most=4)

@@ -1,0 +1,1 @@
+"""Orbits, clocks, atmosphere, frames, time and signals: thin calls into sidereon."""

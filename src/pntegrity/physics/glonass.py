@@ -5,6 +5,7 @@ The frame is PZ-90.11, taken as the WGS 84 of the other systems (they agree with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,37 +19,51 @@ MU = 3.986_004_4e14
 RADIUS_M = 6_378_136.0
 J2 = 1.082_625_75e-3
 EARTH_RATE = 7.292_115e-5
-LIGHT = 299_792_458.0
 STEP_S = 60.0
 
 
 def glonass_states(
-    record: Any, toe: int, t_rx_ns: npt.NDArray[np.int64], travel_s: FloatArray
+    records: Sequence[Any], which: npt.NDArray[np.intp], since_s: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return position (n, 3), velocity (n, 3), clock offset (s) and its rate at the times of emission.
 
-    The clock ``-tau_n + gamma_n (t - t_b)`` holds the relativistic effect, as GLONASS broadcasts it; sidereon gives
-    ``clock_bias_s = -tau_n`` as RINEX does.
+    Parameters
+    ----------
+    records : sequence of sidereon.GlonassRecord
+        State vectors.
+    which : ndarray of int, shape (n,)
+        The record of each row.
+    since_s : ndarray, shape (n,)
+        Time of reception less travel time, from the record's reference time; the satellite's clock offset,
+        which the time of emission lacks, is taken off here.
+
+    Notes
+    -----
+    The clock ``-tau_n + gamma_n (t - t_b)`` holds the relativistic effect, as GLONASS broadcasts it;
+    sidereon's ``clock_bias_s`` is ``-tau_n``, as in RINEX.
     """
-    since = (t_rx_ns - toe) * 1e-9 - travel_s
-    offset = record.clock_bias_s + record.gamma_n * since
-    since = since - offset
-    clock = record.clock_bias_s + record.gamma_n * since
-    state = _integrate(record, since)
-    return state[:, :3], state[:, 3:], clock, np.full(len(since), record.gamma_n)
+    bias = np.array([r.clock_bias_s for r in records])[which]
+    drift = np.array([r.gamma_n for r in records])[which]
+    since = since_s - (bias + drift * since_s)
+    start = np.array([[*r.position_m, *r.velocity_m_s] for r in records], dtype=np.float64)
+    push = np.array([r.acceleration_m_s2 for r in records], dtype=np.float64)
+    state = _integrate(start, push, which, since)
+    return state[:, :3], state[:, 3:], bias + drift * since, drift
 
 
-def _integrate(record: Any, since_s: FloatArray) -> FloatArray:
-    """Runge-Kutta 4: whole steps once for all rows, from node to node, then one part step for each row."""
-    start = np.concatenate([record.position_m, record.velocity_m_s])[None, :]
-    push = np.asarray(record.acceleration_m_s2)
-    nodes = np.trunc(since_s / STEP_S).astype(np.int64)
-    at = {0: start}
+def _integrate(
+    start: FloatArray, push: FloatArray, which: npt.NDArray[np.intp], since_s: FloatArray
+) -> FloatArray:
+    """Runge-Kutta 4: whole steps once for all records, from node to node, then one part step for each row."""
+    node = np.trunc(since_s / STEP_S).astype(np.int64)
+    begin = np.empty((len(which), 6))
     for sign in (1, -1):
-        for k in range(1, int(np.max(sign * nodes, initial=0)) + 1):
-            at[sign * k] = _step(at[sign * (k - 1)], np.array([sign * STEP_S]), push)
-    begin = np.concatenate([at[k] for k in nodes.tolist()])
-    return _step(begin, since_s - nodes * STEP_S, push)
+        state, step = start, np.full(len(start), sign * STEP_S)
+        for k in range(int(np.max(sign * node, initial=0)) + 1):
+            at = np.flatnonzero(node == sign * k)
+            begin[at] = state[which[at]]
+            state = _step(state, step, push)
+    return _step(begin, since_s - node * STEP_S, push[which])
 
 
 def _step(state: FloatArray, h: FloatArray, push: FloatArray) -> FloatArray:
@@ -61,7 +76,7 @@ def _step(state: FloatArray, h: FloatArray, push: FloatArray) -> FloatArray:
 
 
 def _rate(state: FloatArray, push: FloatArray) -> FloatArray:
-    """Time derivative in the rotating frame: gravity with J2, centrifugal and Coriolis terms, Sun and Moon (`push`)."""
+    """Time derivative in the rotating frame: gravity, J2, centrifugal, Coriolis, Sun and Moon (`push`)."""
     x, v = state[:, :3], state[:, 3:]
     r2 = np.sum(x * x, axis=1)
     r3 = r2 * np.sqrt(r2)
@@ -70,7 +85,7 @@ def _rate(state: FloatArray, push: FloatArray) -> FloatArray:
     flat = -MU / r3 - a * (1.0 - b)
     out = np.empty_like(state)
     out[:, :3] = v
-    out[:, 3] = (flat + EARTH_RATE**2) * x[:, 0] + 2.0 * EARTH_RATE * v[:, 1] + push[0]
-    out[:, 4] = (flat + EARTH_RATE**2) * x[:, 1] - 2.0 * EARTH_RATE * v[:, 0] + push[1]
-    out[:, 5] = (flat - 2.0 * a) * x[:, 2] + push[2]
+    out[:, 3] = (flat + EARTH_RATE**2) * x[:, 0] + 2.0 * EARTH_RATE * v[:, 1] + push[:, 0]
+    out[:, 4] = (flat + EARTH_RATE**2) * x[:, 1] - 2.0 * EARTH_RATE * v[:, 0] + push[:, 1]
+    out[:, 5] = (flat - 2.0 * a) * x[:, 2] + push[:, 2]
     return out

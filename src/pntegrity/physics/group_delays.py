@@ -1,11 +1,15 @@
 """Group delays of broadcast clocks: which signal a clock is for, and what another signal needs.
 
-Every delay ``d`` is such that the clock of a signal is the record's clock less ``d``. With ``gamma = (f1 / f_i)**2``:
+Every delay ``d`` is such that the clock of a signal is the record's clock less ``d``. With ``gamma = (f1 /
+f_i)**2``:
 
-- GPS, QZSS (IS-GPS-200 20.3.3.3.3.2): clock of L1 P(Y) and L2 P(Y) combined; L1: TGD, L2: gamma TGD. L5 needs CNAV.
-- Galileo (OS SIS ICD 5.1.5): F/NAV clock of E1-E5a, I/NAV clock of E1-E5b; E1: BGD, E5x: gamma BGD of its own pair.
+- GPS, QZSS (IS-GPS-200 20.3.3.3.3.2): clock of L1 P(Y) and L2 P(Y) combined; L1: TGD, L2: gamma TGD. L5 needs
+  CNAV.
+- Galileo (OS SIS ICD 5.1.5): F/NAV clock of E1-E5a, I/NAV clock of E1-E5b; E1: BGD, E5x: gamma BGD of its own
+  pair.
 - BeiDou (B1I ICD 5.2.4.10): clock of B3I; B1I: TGD1, B2I: TGD2.
-- GLONASS (ICD L1/L2 4.4): clock of L1; L2 later by the stated difference. Before RINEX 3.05 no difference is stated.
+- GLONASS (ICD L1/L2 4.4): clock of L1; L2 later by the stated difference. Before RINEX 3.05 no difference is
+  stated.
 """
 
 from __future__ import annotations
@@ -16,6 +20,9 @@ from typing import Any
 from pntegrity.physics.signals import frequency_hz
 
 __all__ = ["group_delay_s", "wants_fnav"]
+
+WORST_S = 2.5e-7
+"""Larger values are damaged (BRDC files hold some): the fields end at 0.06 to 0.12 us, times gamma."""
 
 
 def wants_fnav(sat: str, signal: str) -> bool:
@@ -36,10 +43,11 @@ def group_delay_s(record: Any, signal: str) -> float:
     first, _, second = signal.partition("+")
     a = _single(record, first)
     if not second:
-        return a
+        return a if abs(a) < WORST_S else math.nan
     channel = record.freq_channel if record.satellite[0] == "R" else None
     gamma = _gamma(record.satellite, first, second, channel)
-    return (gamma * a - _single(record, second)) / (gamma - 1.0)
+    combined = (gamma * a - _single(record, second)) / (gamma - 1.0)
+    return combined if abs(combined) < WORST_S else math.nan
 
 
 def _gamma(sat: str, first: str, second: str, channel: int | None = None) -> float:
@@ -68,6 +76,8 @@ def _legacy(tgd_s: float | None, sat: str, band: str) -> float:
 
 
 def _galileo(delays: Any, record: Any, band: str) -> float:
+    a: float | None
+    b: float | None
     a, b = delays.galileo_bgd_e5a_e1_s, delays.galileo_bgd_e5b_e1_s
     own = a if record.message.label.endswith("fnav") else b
     if own is None:

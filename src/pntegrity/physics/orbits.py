@@ -1,8 +1,9 @@
 """Satellite positions, velocities and clocks from broadcast ephemerides, for all rows of a file at once.
 
-Which ephemeris: the nearest reference time (as RTKLIB takes it), the latest upload among equals. Kepler records
-are evaluated by sidereon; GLONASS state vectors in `physics.glonass`. sidereon's own store is not asked to choose: it
-passes from one ephemeris to the next inside a difference quotient, hides unhealthy satellites as missing ones, and
+Which ephemeris: the nearest reference time; for Galileo, which sends messages of the past ten minutes, the
+last one before (both as RTKLIB takes it); the latest upload among equals. Kepler records are evaluated by
+sidereon; GLONASS state vectors in `physics.glonass`. sidereon's own store is not asked to choose: it passes
+from one ephemeris to the next inside a difference quotient, hides unhealthy satellites as missing ones, and
 keeps no F/NAV records.
 
 Clocks: ``sv_clk_m = c * (polynomial + relativity - group delay of the signal)``, so that
@@ -11,17 +12,18 @@ Clocks: ``sv_clk_m = c * (polynomial + relativity - group delay of the signal)``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.physics.ephemeris import accuracy_m, toc_ns
 from pntegrity.physics.glonass import glonass_states
 from pntegrity.physics.group_delays import group_delay_s, wants_fnav
 from pntegrity.physics.signals import SPEED_OF_LIGHT_MPS
-from pntegrity.physics.tables import Navigation, toc_ns, toe_ns
+from pntegrity.physics.tables import Navigation
 from pntegrity.records import FloatArray
 
 __all__ = ["MAX_AGE_S", "SatelliteStates", "satellite_states"]
@@ -30,8 +32,6 @@ MAX_AGE_S = {"G": 7_200.0, "J": 7_200.0, "E": 10_800.0, "C": 21_600.0, "R": 1_80
 """Largest distance from the reference time at which an ephemeris is used, s (RTKLIB's limits)."""
 GLONASS_SIGMA_M = 5.0
 """GLONASS messages before RINEX 3.05 tell no accuracy: RTKLIB's value."""
-WORST_SIGMA_M = 6_144.0
-"""GPS URA index 15, 'use at own risk'; Galileo's 'no accuracy prediction' is negative."""
 STEP_S = 0.02
 """Half-width of the central difference: 0.1 mm of curvature in the mean, under 0.02 mm/s of rounding."""
 
@@ -45,14 +45,15 @@ class SatelliteStates:
     position_m, velocity_mps : ndarray, shape (n, 3)
         Earth-fixed frame of the time of emission (rotate by the travel time for that of reception).
     clock_m, clock_rate_mps : ndarray, shape (n,)
-        Clock offset times the speed of light, with relativity and less the group delay of the signal; its rate.
+        Clock offset times the speed of light, with relativity and less the group delay of the signal; its
+        rate.
     variance_m2 : ndarray, shape (n,)
         Of the range error that the message predicts (URA, SISA) for orbit and clock together.
     ok : ndarray of bool, shape (n,)
         Whether the row can be used.
-    reason : tuple of str, length n
-        Why not, else an empty string: "no ephemeris", "too old", "unhealthy", "no accuracy stated",
-        "no group delay for this signal".
+    reason : ndarray of str objects, shape (n,)
+        Why not, else an empty string: "no pseudorange", "no ephemeris", "too old", "unhealthy",
+        "no accuracy stated", "no group delay for this signal".
     """
 
     position_m: FloatArray
@@ -62,6 +63,18 @@ class SatelliteStates:
     variance_m2: FloatArray
     ok: npt.NDArray[np.bool_]
     reason: npt.NDArray[np.object_]
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """Rows that one usable ephemeris serves."""
+
+    record: Any
+    delay_s: float
+    toe: int
+    rows: npt.NDArray[np.intp]
+    t_rx_ns: npt.NDArray[np.int64]
+    travel_s: FloatArray
 
 
 def satellite_states(
@@ -80,8 +93,8 @@ def satellite_states(
     sats : ndarray of str, shape (n,)
         ``"G05"``.
     t_rx_ns : ndarray of int64, shape (n,)
-        Receiver time tags, ns of GPS time; the emission time is tag - pseudorange / c - satellite clock offset, in
-        which the receiver's clock offset cancels.
+        Receiver time tags, ns of GPS time; the emission time is tag - pseudorange / c - satellite clock
+        offset, in which the receiver's clock offset cancels.
     pseudorange_m : ndarray, shape (n,)
         Pseudoranges on any one frequency.
     signals : sequence of str, length n
@@ -93,87 +106,115 @@ def satellite_states(
     """
     n = len(sats)
     out = SatelliteStates(
-        *(np.full((n, 3), np.nan) for _ in range(2)),
-        *(np.full(n, np.nan) for _ in range(3)),
-        np.zeros(n, dtype=bool),
-        np.full(n, "no ephemeris", dtype=object),
+        position_m=np.full((n, 3), np.nan),
+        velocity_mps=np.full((n, 3), np.nan),
+        clock_m=np.full(n, np.nan),
+        clock_rate_mps=np.full(n, np.nan),
+        variance_m2=np.full(n, np.nan),
+        ok=np.zeros(n, dtype=bool),
+        reason=np.full(n, "no ephemeris", dtype=object),
     )
     names = np.char.add(np.char.add(sats.astype("<U3"), ":"), np.asarray(signals, dtype="<U5"))
     kinds, inverse = np.unique(names, return_inverse=True)
-    groups = np.split(np.argsort(inverse, kind="stable"), np.cumsum(np.bincount(inverse, minlength=len(kinds)))[:-1])
+    has_range = np.isfinite(pseudorange_m)
+    out.reason[~has_range] = "no pseudorange"
+    groups = np.split(
+        np.argsort(inverse, kind="stable"), np.cumsum(np.bincount(inverse, minlength=len(kinds)))[:-1]
+    )
+    later: list[_Job] = []
     for kind, rows in zip(kinds.tolist(), groups, strict=True):
         sat, _, signal = kind.partition(":")
-        _one_satellite(nav, sat, signal, rows, t_rx_ns[rows], pseudorange_m[rows], out)
+        rows = rows[has_range[rows]]
+        for job in _jobs(
+            nav, sat, signal, rows, t_rx_ns[rows], pseudorange_m[rows] / SPEED_OF_LIGHT_MPS, out
+        ):
+            if sat[0] == "R":
+                later.append(job)
+            else:
+                _fill(out, job, _kepler_states(job.record, job.toe, job.t_rx_ns, job.travel_s))
+    _fill_glonass(out, later)
     return out
 
 
-def _one_satellite(
+def _jobs(
     nav: Navigation,
     sat: str,
     signal: str,
     rows: npt.NDArray[np.intp],
     t_rx_ns: npt.NDArray[np.int64],
-    range_m: FloatArray,
+    travel_s: FloatArray,
     out: SatelliteStates,
-) -> None:
+) -> Iterator[_Job]:
+    """Yield for each ephemeris of a satellite the rows it serves; write the reasons of the others."""
     records, toe = nav.of(sat, fnav=wants_fnav(sat, signal))
     if not len(toe):
         return
-    t_ns = t_rx_ns - np.rint(range_m / SPEED_OF_LIGHT_MPS * 1e9).astype(np.int64)
-    which = _nearest(toe, t_ns)
+    choose = _latest if sat[0] == "E" else _nearest
+    which = choose(toe, t_rx_ns - np.rint(travel_s * 1e9).astype(np.int64))
     for i in np.unique(which).tolist():
         at = which == i
-        _one_record(records[i], signal, int(toe[i]), rows[at], t_rx_ns[at], range_m[at], out)
+        delay = group_delay_s(records[i], signal)
+        problem = _problem(records[i], delay)
+        old = np.abs(t_rx_ns[at] - toe[i]) > MAX_AGE_S[sat[0]] * 1e9
+        out.reason[rows[at]] = np.where(old, "too old", problem)
+        at[at] = ~old & (problem == "")
+        if at.any():
+            yield _Job(records[i], delay, int(toe[i]), rows[at], t_rx_ns[at], travel_s[at])
 
 
 def _nearest(toe: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Return for each time the index of the nearest reference time; of equal ones the last, of a tie the earlier."""
+    """Return for each time the index of the nearest reference time; of equal ones the last."""
     right = np.searchsorted(toe, t_ns, side="left").clip(0, len(toe) - 1)
     left = (np.searchsorted(toe, t_ns, side="left") - 1).clip(0, len(toe) - 1)
     near = np.where(np.abs(toe[right] - t_ns) < np.abs(toe[left] - t_ns), right, left)
-    return np.searchsorted(toe, toe[near], side="right") - 1
+    return np.asarray(np.searchsorted(toe, toe[near], side="right") - 1)
 
 
-def _one_record(
-    record: Any,
-    signal: str,
-    toe: int,
-    rows: npt.NDArray[np.intp],
-    t_rx_ns: npt.NDArray[np.int64],
-    range_m: FloatArray,
-    out: SatelliteStates,
+def _latest(toe: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
+    """Return for each time the index of the last reference time before it, or else the first after."""
+    before = (np.searchsorted(toe, t_ns, side="left") - 1).clip(0, len(toe) - 1)
+    return np.asarray(np.searchsorted(toe, toe[before], side="right") - 1)
+
+
+def _fill(
+    out: SatelliteStates, job: _Job, states: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 ) -> None:
-    system = record.satellite[0]
-    delay = group_delay_s(record, signal)
-    problem = _problem(record, delay)
-    old = np.abs(t_rx_ns - toe) > MAX_AGE_S[system] * 1e9
-    out.reason[rows] = np.where(old, "too old", problem)
-    use = ~old & (problem == "")
-    if not use.any():
+    position, velocity, clock, rate = states
+    out.position_m[job.rows], out.velocity_mps[job.rows] = position, velocity
+    out.clock_m[job.rows] = SPEED_OF_LIGHT_MPS * (clock - job.delay_s)
+    out.clock_rate_mps[job.rows] = SPEED_OF_LIGHT_MPS * rate
+    sigma = GLONASS_SIGMA_M if job.record.satellite[0] == "R" else accuracy_m(job.record)
+    out.variance_m2[job.rows] = sigma**2
+    out.ok[job.rows] = True
+
+
+def _fill_glonass(out: SatelliteStates, jobs: list[_Job]) -> None:
+    """Integrate all GLONASS messages together: one by one, short arrays would cost most of the time."""
+    if not jobs:
         return
-    rows = rows[use]
-    evaluate = glonass_states if system == "R" else _kepler_states
-    position, velocity, clock, rate = evaluate(record, toe, t_rx_ns[use], range_m[use] / SPEED_OF_LIGHT_MPS)
-    out.position_m[rows], out.velocity_mps[rows] = position, velocity
-    out.clock_m[rows] = SPEED_OF_LIGHT_MPS * (clock - delay)
-    out.clock_rate_mps[rows] = SPEED_OF_LIGHT_MPS * rate
-    out.variance_m2[rows] = GLONASS_SIGMA_M**2 if system == "R" else record.sv_accuracy_m**2
-    out.ok[rows] = True
+    sizes = [len(j.rows) for j in jobs]
+    toe = np.repeat([j.toe for j in jobs], sizes)
+    since = (np.concatenate([j.t_rx_ns for j in jobs]) - toe) * 1e-9 - np.concatenate(
+        [j.travel_s for j in jobs]
+    )
+    states = glonass_states([j.record for j in jobs], np.repeat(np.arange(len(jobs)), sizes), since)
+    ends = np.cumsum(sizes)[:-1]
+    for job, *parts in zip(jobs, *(np.split(s, ends) for s in states), strict=True):
+        _fill(out, job, (parts[0], parts[1], parts[2], parts[3]))
 
 
 def _problem(record: Any, delay: float) -> str:
     """Return why a record must not be used, or an empty string.
 
-    Any health bit counts, whatever the signal: Galileo's E5b can be flagged alone, but a satellite under test is no
-    satellite for integrity. (QZSS: the bit of the L6 signal is left out, as in RTKLIB.)
+    Any health bit counts, whatever the signal: Galileo's E5b can be flagged alone, but a satellite under test
+    is no satellite for integrity. (QZSS: the bit of the L6 signal is left out, as in RTKLIB.)
     """
     if record.satellite[0] == "R":
         return "" if record.is_healthy else "unhealthy"
     health = int(record.sv_health)
     if (health & ~1 if record.satellite[0] == "J" else health) != 0:
         return "unhealthy"
-    accuracy = record.sv_accuracy_m
-    if accuracy is None or not 0.0 <= accuracy < WORST_SIGMA_M:
+    if np.isnan(accuracy_m(record)):
         return "no accuracy stated"
     return "no group delay for this signal" if np.isnan(delay) else ""
 

@@ -1,8 +1,8 @@
 """Signals: carrier frequencies, and which signal of a satellite to take first.
 
-A signal is named by RINEX 3's band and attribute (``"1C"``); with the system's letter (``"G"``, ``"R"``, ``"E"``,
-``"C"``, ``"J"``) it is unique. Source: RINEX 3.04 tables 4 to 9 (BeiDou: B1I is ``2I``; ``1I`` of RINEX 3.02 is
-renamed by the reader).
+A signal is named by RINEX 3's band and attribute (``"1C"``); with the system's letter (``"G"``, ``"R"``,
+``"E"``, ``"C"``, ``"J"``) it is unique. Source: RINEX 3.04 tables 4 to 9 (BeiDou: B1I is ``2I``; ``1I`` of
+RINEX 3.02 is renamed by the reader).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DEFAULT_SIGNALS: dict[str, tuple[str, ...]] = {
     "C": ("2I", "2X", "2Q", "6I", "6X", "6Q", "7I"),
     "J": ("1C", "1Z", "1X", "1L", "1S"),
 }
-"""Single-frequency preference. BeiDou B1C (``1P``, ``1X``) is left out: D1/D2 messages hold no delay for it."""
+"""Single-frequency preference. BeiDou B1C (``1P``, ``1X``) is left out: D1/D2 hold no delay for it."""
 
 DEFAULT_PAIRS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "G": (("1C", "1W", "1P"), ("2W", "2P", "2L", "2X", "2S", "2C")),
@@ -62,4 +62,3 @@ def frequency_hz(system: str, signal: str, glonass_channel: int | None = None) -
     except ValueError:
         return math.nan
     return math.nan if value is None else float(value)
-

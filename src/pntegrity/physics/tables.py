@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.physics.time import BDT_OFFSET_NS, BDT_WEEK, WEEK_NS, from_j2000_s
+from pntegrity.physics.ephemeris import MESSAGES, toe_ns, upload_s
+from pntegrity.physics.time import from_j2000_s
 from pntegrity.records import FloatArray
 
 __all__ = ["Klobuchar", "Navigation", "SignalTable"]
-
-MESSAGES = {"gps_lnav", "qzss_lnav", "galileo_inav", "galileo_fnav", "beidou_d1", "beidou_d2"}
-"""Messages whose clocks and group delays are understood here; CNAV and the like are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +33,8 @@ class SignalTable:
     sat, signal : ndarray of str, shape (n,)
         ``"G05"`` and RINEX 3 band and attribute, ``"1C"``.
     pseudorange_m, carrier_cycles, doppler_hz, cn0_dbhz : ndarray, shape (n,)
-        Observed values; nan where absent (a zero in the file means absent). A positive Doppler means approach.
+        Observed values; nan where absent (a zero in the file means absent). A positive Doppler means
+        approach.
     lli : ndarray of int8, shape (n,)
         Loss-of-lock indicator of the carrier, 0 where blank.
     version : float
@@ -52,6 +51,8 @@ class SignalTable:
         ``{"R01": 1}``.
     notes : tuple of str
         What was dropped or repaired, in words.
+    source : str
+        Path of the file.
     """
 
     t_ns: npt.NDArray[np.int64]
@@ -72,6 +73,7 @@ class SignalTable:
     interval_s: float | None = None
     glonass_channels: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    source: str = ""
 
     def __post_init__(self) -> None:
         n = len(self.epoch)
@@ -96,7 +98,7 @@ class SignalTable:
 
 @dataclass(frozen=True)
 class Klobuchar:
-    """Coefficients of the broadcast ionosphere model (IS-GPS-200, 20.3.3.5.2.5), in the units of the message."""
+    """Coefficients of the broadcast ionosphere model (IS-GPS-200, 20.3.3.5.2.5), in the message's units."""
 
     alpha: tuple[float, float, float, float]
     beta: tuple[float, float, float, float]
@@ -138,7 +140,7 @@ class Navigation:
         )
 
     def of(self, sat: str, *, fnav: bool = False) -> tuple[tuple[Any, ...], npt.NDArray[np.int64]]:
-        """Return the ephemerides of a satellite and their reference times, rising; of equal times the latest upload last.
+        """Return the ephemerides of a satellite and their reference times, rising; equal times by upload.
 
         Of Galileo's two messages the one asked for, I/NAV or F/NAV; of GPS and QZSS the legacy message.
         """
@@ -150,7 +152,7 @@ class Navigation:
         for i, (record, toe) in enumerate(zip(self.kepler, self.kepler_toe_ns.tolist(), strict=True)):
             if record.message.label in MESSAGES:
                 key = (record.satellite, record.message.label == "galileo_fnav")
-                found.setdefault(key, []).append((toe, _upload_s(record), i, record))
+                found.setdefault(key, []).append((toe, upload_s(record), i, record))
         for i, (record, toe) in enumerate(zip(self.glonass, self.glonass_toe_ns.tolist(), strict=True)):
             found.setdefault((record.satellite, False), []).append((toe, 0.0, i, record))
         out = {}
@@ -175,28 +177,3 @@ class Navigation:
     def glonass_channels(self) -> dict[str, int]:
         """Frequency channel of each GLONASS satellite."""
         return {r.satellite: int(r.freq_channel) for r in self.glonass}
-
-
-def _upload_s(record: Any) -> float:
-    """Return how long before the reference time the message was sent, negated: the later upload is the larger."""
-    sent = record.transmission_time_sow
-    if sent is None or not 0.0 <= sent <= 604_800.0:  # 0.9999E9 and the like mean: not known
-        return -604_800.0
-    late = sent - record.toe_tow_s
-    return float(late - 604_800.0 * round(late / 604_800.0))
-
-
-def toe_ns(record: Any) -> int:
-    """Return the reference time of a Kepler record, ns of GPS time."""
-    return _week_tow_ns(record, record.toe_week, record.toe_tow_s)
-
-
-def toc_ns(record: Any) -> int:
-    """Return the clock reference time of a Kepler record, ns of GPS time."""
-    return _week_tow_ns(record, record.toc_week, record.toc_tow_s)
-
-
-def _week_tow_ns(record: Any, week: int, tow_s: float) -> int:
-    beidou = record.satellite[0] == "C"
-    start = BDT_WEEK * WEEK_NS + BDT_OFFSET_NS if beidou else 0
-    return week * WEEK_NS + round(tow_s * 1e9) + start

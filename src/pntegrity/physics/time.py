@@ -67,14 +67,14 @@ def utc_to_ns(year: int, month: int, day: int, hour: int = 0, minute: int = 0, s
 
 
 def to_iso(t_ns: int) -> str:
-    """Return the GPS calendar time as ``2019-01-14T06:15:00``, with as many decimals as it needs (no zone letter)."""
+    """Return the GPS calendar time as ``2019-01-14T06:15:00``, with decimals as needed."""
     seconds, rest = divmod(int(t_ns), SECOND_NS)
     text = (_EPOCH + timedelta(seconds=seconds)).isoformat(timespec="seconds")
     return f"{text}.{rest:09d}".rstrip("0") if rest else text
 
 
 def from_iso(text: str) -> int:
-    """Return ns of GPS time of an ISO string in GPS time; ``2019-01-14 06:15:00.25`` and a bare date work too.
+    """Return ns of GPS time of an ISO string in GPS time: ``2019-01-14 06:15:00.25``, or a bare date.
 
     Raises
     ------

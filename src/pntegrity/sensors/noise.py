@@ -7,10 +7,15 @@ seconds, and little white noise. The filter carries the first two as first-order
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 
 from pntegrity.records import FloatArray
+
+
+#: BDS-2 satellites have numbers up to this one.
+LAST_BDS2 = "18"
 
 
 @dataclass(frozen=True)
@@ -23,10 +28,13 @@ class NoiseModel:
         Code noise, scaled by ``1 / sin(elevation)`` and by C/N0 (see `scale`).
     code_multipath_tau_s : float
         Correlation time of multipath.
+    code_smoothing_tau_s : float
+        Time constant of the smoothing that the receiver applies to its code: multipath is then second order. Zero: none.
     code_bias_m, code_bias_tau_s : float
         Slow error of a satellite, not scaled. Zero `code_multipath_m` or `code_bias_m`: no such states.
-    glonass_bias_factor : float
-        GLONASS biases are larger by this (inter-frequency biases).
+    glonass_factor, bds2_factor : float
+        Code errors of GLONASS (lower chip rate, inter-frequency biases) and of BDS-2 (multipath aboard the satellite)
+        are larger by these.
     doppler_mps : float
         Range rate noise, scaled like code.
     cn0_ref_dbhz : float
@@ -48,9 +56,11 @@ class NoiseModel:
     code_white_m: float = 0.10
     code_multipath_m: float = 0.30
     code_multipath_tau_s: float = 20.0
+    code_smoothing_tau_s: float = 0.0
     code_bias_m: float = 2.0
     code_bias_tau_s: float = 3600.0
-    glonass_bias_factor: float = 2.0
+    glonass_factor: float = 2.0
+    bds2_factor: float = 2.0
     doppler_mps: float = 0.03
     cn0_ref_dbhz: float = 40.0
     accel_mps2: float = 0.5
@@ -68,6 +78,8 @@ class NoiseModel:
         for tau in ("code_multipath_tau_s", "code_bias_tau_s"):
             if getattr(self, tau) <= 0.0:
                 raise ValueError(f"noise model: `{tau}` must be above 0, not {getattr(self, tau)}")
+        if self.code_smoothing_tau_s == self.code_multipath_tau_s:
+            raise ValueError("noise model: `code_smoothing_tau_s` must differ from `code_multipath_tau_s`")
         if self.code_white_m <= 0.0 or self.doppler_mps <= 0.0:
             raise ValueError("noise model: `code_white_m` and `doppler_mps` must be above 0")
 
@@ -80,9 +92,19 @@ class NoiseModel:
         low = np.nan_to_num(self.cn0_ref_dbhz - cn0_dbhz, nan=0.0)
         return np.asarray(10.0 ** (np.maximum(low, 0.0) / 20.0) / np.sin(np.maximum(el_rad, np.deg2rad(3.0))))
 
+    def code_factor(self, keys: tuple[str, ...]) -> FloatArray:
+        """Return by how much the code errors of the rows' satellites are larger than those of GPS, shape (n,)."""
+        return _code_factor(keys, self.glonass_factor, self.bds2_factor)
+
     def snapshot_sigma_m(self, scale: FloatArray) -> FloatArray:
         """Return the total standard deviation of a code row, for a solver without error states."""
         return np.sqrt((self.code_white_m**2 + self.code_multipath_m**2) * scale**2 + self.code_bias_m**2)
+
+
+@lru_cache(maxsize=512)
+def _code_factor(keys: tuple[str, ...], glonass: float, bds2: float) -> FloatArray:
+    factor = [glonass if k[0] == "R" else bds2 if k[0] == "C" and k[1:3] <= LAST_BDS2 else 1.0 for k in keys]
+    return np.array(factor)
 
 
 #: A white model: no correlated states; what the simulations of the literature assume.

@@ -1,0 +1,196 @@
+"""Fit a noise model to a receiver: innovation maximum likelihood on one part of a log, judged on another.
+
+The likelihood of a Kalman filter is that of its innovations, ``-2 log L = sum log det S_k + nu_k^T S_k^-1 nu_k``. It is
+maximised over the logarithms of the noise model's parameters, one at a time in turn. What a log cannot show stays at
+its default (the correlation time of the satellite biases). A threshold factor then covers what is left in the tails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pntegrity.estimators._gnss import GnssOptions
+from pntegrity.estimators.spp_kf import SppKf
+from pntegrity.evaluate.whiteness import whiteness
+from pntegrity.exclusion import Policy
+from pntegrity.pipeline import Pipeline
+from pntegrity.protocols import Monitor
+from pntegrity.records import Epoch, State, Update
+from pntegrity.sensors.noise import WHITE, NoiseModel
+
+#: Fitted parameters with the range they may take.
+RANGES: dict[str, tuple[float, float]] = {
+    "doppler_mps": (1e-3, 5.0),
+    "code_multipath_m": (0.01, 30.0),
+    "code_white_m": (0.005, 30.0),
+    "code_multipath_tau_s": (1.5, 300.0),
+    "code_smoothing_tau_s": (0.1, 1.0),
+    "accel_mps2": (1e-3, 10.0),
+    "clock_drift_mps": (1e-4, 10.0),
+    "clock_m": (1e-4, 10.0),
+    "code_bias_m": (0.3, 20.0),
+    "glonass_factor": (1.0, 6.0),
+    "bds2_factor": (1.0, 6.0),
+}
+#: Factors by which a parameter is tried, sweep after sweep.
+STEPS = (3.0, 1.8, 1.3)
+SETTLE = 30
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration found.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        Fitted parameters and threshold factors.
+    training, validation : int
+        Epochs of the two parts.
+    gain : float
+        By how much the fit raised the log-likelihood of the training part, an epoch.
+    whiteness : dict
+        Innovation statistics of the validation part, for ``"white"``, ``"default"`` and ``"calibrated"`` models.
+    alarms : dict
+        Alarms of each monitor on the validation part as ``{name: {p_fa: count}}``, calibrated thresholds.
+    """
+
+    noise: NoiseModel
+    training: int
+    validation: int
+    gain: float
+    whiteness: dict[str, dict[str, object]]
+    alarms: dict[str, dict[str, int]]
+
+
+def calibrate(
+    epochs: Sequence[Epoch],
+    options: GnssOptions,
+    monitors: Callable[[float, NoiseModel], Sequence[Monitor]],
+    *,
+    split: float = 0.5,
+    p_fa: float = 1e-6,
+    progress: Callable[[str, float], None] = lambda what, done: None,
+) -> Calibration:
+    """Fit the noise model on the first part of a log and judge it on the rest.
+
+    Parameters
+    ----------
+    epochs : sequence of Epoch
+    options : GnssOptions
+        Where the fit starts.
+    monitors : callable
+        Makes the monitors for a false-alarm probability and a noise model.
+    split : float
+        Share of the epochs that is fitted.
+    p_fa : float
+        Probability the threshold factors are made for.
+    progress : callable
+        Told what is being done and how far it is, 0 to 1.
+
+    Raises
+    ------
+    ValueError
+        Where either part has fewer than 100 epochs.
+    """
+    cut = int(len(epochs) * split)
+    if cut < 100 or len(epochs) - cut < 100:
+        raise ValueError(f"a calibration needs 100 epochs on either side of the split; {cut} and {len(epochs) - cut} given")
+    left_out = _outliers(epochs[:cut], options, monitors(p_fa, options.noise))
+    start = _cost(epochs[:cut], options, left_out)
+    noise, cost = _fit(epochs[:cut], options, left_out, progress)
+    fitted = replace(options, noise=noise)
+    noise = replace(noise, factors=_factors(updates_of(epochs[:cut], fitted, left_out), monitors(p_fa, noise)))
+    progress("validation", 1.0)
+    rest = epochs[cut:]
+    models = {"white": replace(WHITE, accel_mps2=noise.accel_mps2), "default": NoiseModel(), "calibrated": noise}
+    runs = {name: updates_of(rest, replace(options, noise=m), ()) for name, m in models.items()}
+    alarms: dict[str, dict[str, int]] = {}
+    for p in (p_fa, 1e-3):
+        for m in monitors(p, noise):
+            alarms.setdefault(m.name, {})[f"{p:g}"] = _alarms(runs["calibrated"], m)
+    whitened = {name: whiteness(run[SETTLE:]) for name, run in runs.items()}
+    return Calibration(noise, cut, len(rest), 0.5 * (start - cost) / cut, whitened, alarms)
+
+
+def updates_of(epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]]) -> list[Update]:
+    """Run the filter over epochs with given exclusions, without monitors."""
+    estimator, state, out = SppKf(options), State.empty(), []
+    for i, epoch in enumerate(epochs):
+        exclude = left_out[i] if i < len(left_out) else frozenset()
+        update = estimator.correct(estimator.predict(state, epoch), epoch, exclude)
+        state = update.posterior
+        out.append(update)
+    return out
+
+
+def _outliers(epochs: Sequence[Epoch], options: GnssOptions, monitors: Sequence[Monitor]) -> list[frozenset[str]]:
+    """Return who the default run leaves out: gross errors must not become noise."""
+    pipeline = Pipeline(SppKf(options), [m for m in monitors if m.name == "rctm"], Policy(p_fa=1e-6))
+    return [frozenset(pipeline.push(e).update.excluded) for e in epochs]
+
+
+def _cost(epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]]) -> float:
+    """Return ``-2 log L`` of the innovations after the filter has settled."""
+    try:
+        run = updates_of(epochs, options, left_out)[SETTLE:]
+    except np.linalg.LinAlgError:
+        return np.inf
+    return float(sum(u.white @ u.white + 2.0 * np.log(np.diagonal(u.L)).sum() for u in run))
+
+
+def _fit(
+    epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]], progress: Callable[[str, float], None]
+) -> tuple[NoiseModel, float]:
+    """Minimise the cost one parameter after the other, with ever finer steps."""
+    tau = 0.5 if options.noise.code_smoothing_tau_s == 0.0 else options.noise.code_smoothing_tau_s
+    noise = replace(options.noise, name="calibrated", factors=(), code_smoothing_tau_s=tau)
+    best = _cost(epochs, replace(options, noise=noise), left_out)
+    for sweep, step in enumerate(STEPS):
+        for i, name in enumerate(RANGES):
+            progress(f"{name} (sweep {sweep + 1} of {len(STEPS)})", (sweep + i / len(RANGES)) / len(STEPS))
+            noise, best = _line(epochs, options, left_out, noise, best, name, step)
+    return noise, best
+
+
+def _line(
+    epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]], noise: NoiseModel, best: float,
+    name: str, step: float,
+) -> tuple[NoiseModel, float]:  # fmt: skip
+    """Walk one parameter up while that helps; where it does not help at all, down."""
+    for factor in (step, 1.0 / step):
+        start = noise
+        for _ in range(4):
+            value = float(np.clip(getattr(noise, name) * factor, *RANGES[name]))
+            trial = replace(noise, **{name: value})
+            cost = np.inf if trial == noise else _cost(epochs, replace(options, noise=trial), left_out)
+            if cost >= best - 1.0:
+                break
+            noise, best = trial, cost
+        if noise != start:
+            break
+    return noise, best
+
+
+def _factors(updates: Sequence[Update], monitors: Sequence[Monitor]) -> tuple[tuple[str, float], ...]:
+    """Return by how much thresholds must grow so that the training part stays below them by a tenth."""
+    out = []
+    for m in monitors:
+        worst, memory = 0.0, m.start()
+        for k, update in enumerate(updates):
+            verdict, memory = m.step(memory, update)
+            if k >= SETTLE and verdict.status != "unavailable":
+                worst = max(worst, verdict.statistic / verdict.threshold)
+        out.append((m.name, max(1.0, round(1.1 * worst, 3))))
+    return tuple(out)
+
+
+def _alarms(updates: Sequence[Update], monitor: Monitor) -> int:
+    memory, count = monitor.start(), 0
+    for k, update in enumerate(updates):
+        verdict, memory = monitor.step(memory, update)
+        count += k >= SETTLE and verdict.status == "alert"
+    return count
