@@ -40,7 +40,7 @@ def stationary(P: FloatArray, layout: Layout, rows: Rows, noise: NoiseModel) -> 
     """Write the stationary covariance of the satellites' states into `P`."""
     bias, mp, mpin = _places(layout, rows.keys)
     if bias[:1] >= 0:
-        P[bias, bias] = (noise.code_bias_m * noise.code_factor(rows.keys)) ** 2
+        P[bias, bias] = (noise.code_bias_m * rows.slow) ** 2
     if mp[:1] >= 0:
         variance = (noise.code_multipath_m * rows.scale) ** 2
         P[mp, mp] = variance

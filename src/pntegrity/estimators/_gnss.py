@@ -45,7 +45,8 @@ class GnssOptions:
 class Rows:
     """Code or range-rate rows at a position, all of shape (n,) or (n, 3).
 
-    `predicted` is what the row would read with perfect clocks: geometry, satellite clock, atmosphere.
+    `predicted` is what the row would read with perfect clocks: geometry, satellite clock, atmosphere. `scale` and `slow`
+    say how much larger than at the zenith its fast and slow errors are.
     """
 
     keys: tuple[str, ...]
@@ -53,6 +54,7 @@ class Rows:
     predicted: FloatArray
     los: FloatArray
     scale: FloatArray
+    slow: FloatArray
     el_rad: FloatArray
     az_rad: FloatArray
     cn0_dbhz: FloatArray
@@ -61,7 +63,7 @@ class Rows:
         """Return only some rows."""
         return Rows(
             tuple(k for k, r in zip(self.keys, rows, strict=True) if r), self.y[rows], self.predicted[rows],
-            self.los[rows], self.scale[rows], self.el_rad[rows], self.az_rad[rows], self.cn0_dbhz[rows],
+            self.los[rows], self.scale[rows], self.slow[rows], self.el_rad[rows], self.az_rad[rows], self.cn0_dbhz[rows],
         )  # fmt: skip
 
 
@@ -77,7 +79,7 @@ def code_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> Row
             delay = klobuchar_m(options.klobuchar, position_m, el, az, o.t_ns, o.aux["freq_hz"])
             predicted = predicted + o.aux["iono_factor"] * delay
     factor = options.noise.code_factor(o.keys)
-    rows = _rows(o, predicted, g.los, el, az, options.noise.scale(el, o.aux["cn0_dbhz"]) * factor)
+    rows = _rows(o, predicted, g.los, el, az, options.noise, factor)
     return rows.select(el >= options.mask_rad) if on_ground else rows
 
 
@@ -89,7 +91,7 @@ def rate_rows(epoch: Epoch, position_m: FloatArray, velocity_mps: FloatArray, op
     g = geometry(position_m, o.aux["sv_pos_m"])
     el, az, on_ground = _angles(position_m, g.los)
     rate = range_rate(velocity_mps, position_m, o.aux["sv_pos_m"], o.aux["sv_vel_mps"], g.los)
-    rows = _rows(o, rate - o.aux["sv_clk_rate_mps"], g.los, el, az, options.noise.scale(el, o.aux["cn0_dbhz"]))
+    rows = _rows(o, rate - o.aux["sv_clk_rate_mps"], g.los, el, az, options.noise, options.noise.rate_factor(o.keys))
     return rows.select(el >= options.mask_rad) if on_ground else rows
 
 
@@ -112,8 +114,12 @@ def _angles(position_m: FloatArray, los: FloatArray) -> tuple[FloatArray, FloatA
     return el, az, True
 
 
-def _rows(o: Observation, predicted: FloatArray, los: FloatArray, el: FloatArray, az: FloatArray, scale: FloatArray) -> Rows:
-    return Rows(o.keys, o.y, predicted, los, scale, el, az, o.aux["cn0_dbhz"])
+def _rows(
+    o: Observation, predicted: FloatArray, los: FloatArray, el: FloatArray, az: FloatArray, noise: NoiseModel,
+    factor: FloatArray,
+) -> Rows:  # fmt: skip
+    cn0 = o.aux["cn0_dbhz"]
+    return Rows(o.keys, o.y, predicted, los, noise.scale(el, cn0) * factor, noise.obliquity(el) * factor, el, az, cn0)
 
 
 def system_of(key: str) -> str:
@@ -172,7 +178,7 @@ def _without(rows: Rows, exclude: frozenset[str]) -> Rows:
 
 def _position_step(rows: Rows, systems: tuple[str, ...], options: GnssOptions) -> tuple[FloatArray, dict[str, float]]:
     clock = np.array([[system_of(k) == s for s in systems] for k in rows.keys], dtype=np.float64)
-    weight = 1.0 / options.noise.snapshot_sigma_m(rows.scale)
+    weight = 1.0 / options.noise.snapshot_sigma_m(rows.scale, rows.slow)
     A = np.hstack([-rows.los, clock])
     solution, _, rank, _ = np.linalg.lstsq(A * weight[:, None], (rows.y - rows.predicted) * weight, rcond=None)
     if rank < A.shape[1]:

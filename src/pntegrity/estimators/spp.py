@@ -43,5 +43,5 @@ class Spp:
         rate = rate_rows(epoch, prior.state.mean[:3], prior.state.mean[3:6], self.options)
         noise = self.options.noise
         return linear_update(
-            prior, code, rate, noise.snapshot_sigma_m(code.scale), noise.doppler_mps * rate.scale, exclude
+            prior, code, rate, noise.snapshot_sigma_m(code.scale, code.slow), noise.doppler_mps * rate.scale, exclude
         )

@@ -18,7 +18,8 @@ from pntegrity.evaluate.whiteness import whiteness
 from pntegrity.exclusion import Policy
 from pntegrity.pipeline import Pipeline
 from pntegrity.protocols import Monitor
-from pntegrity.records import Epoch, State, Update
+from pntegrity.kernels.signatures import is_rate
+from pntegrity.records import Epoch, FloatArray, State, Update
 from pntegrity.sensors.noise import WHITE, NoiseModel
 
 #: Fitted parameters with the range they may take.
@@ -31,13 +32,22 @@ RANGES: dict[str, tuple[float, float]] = {
     "accel_mps2": (1e-3, 10.0),
     "clock_drift_mps": (1e-4, 10.0),
     "clock_m": (1e-4, 10.0),
-    "code_bias_m": (0.3, 20.0),
+    "code_bias_m": (0.1, 20.0),
     "glonass_factor": (1.0, 6.0),
     "bds2_factor": (1.0, 6.0),
 }
-#: Factors by which a parameter is tried, sweep after sweep.
-STEPS = (3.0, 1.8, 1.3)
+#: Where the fit starts: a geodetic receiver. A far start ends in a random walk of the biases that explains everything.
+TYPICAL = {
+    "code_white_m": 0.02, "code_multipath_m": 0.08, "code_multipath_tau_s": 4.0, "code_smoothing_tau_s": 0.4,
+    "code_bias_m": 0.3, "doppler_mps": 0.01,
+}  # fmt: skip
+#: Factors by which a parameter is tried, sweep after sweep; before the last, satellites get their own factors.
+STEPS = (2.5, 1.6, 1.25)
+#: How far up or down one sweep walks a parameter.
+STRIDES = 4
 SETTLE = 30
+#: Lengths of the means over which a satellite's innovations are compared with white ones, epochs.
+SPANS = (1, 5, 10, 20)
 
 
 @dataclass(frozen=True)
@@ -146,10 +156,12 @@ def _fit(
     epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]], progress: Callable[[str, float], None]
 ) -> tuple[NoiseModel, float]:
     """Minimise the cost one parameter after the other, with ever finer steps."""
-    tau = 0.5 if options.noise.code_smoothing_tau_s == 0.0 else options.noise.code_smoothing_tau_s
-    noise = replace(options.noise, name="calibrated", factors=(), code_smoothing_tau_s=tau)
+    noise = replace(options.noise, name="calibrated", factors=(), satellites=(), **TYPICAL)
     best = _cost(epochs, replace(options, noise=noise), left_out)
     for sweep, step in enumerate(STEPS):
+        if step == STEPS[-1]:
+            noise = replace(noise, satellites=_satellites(updates_of(epochs, replace(options, noise=noise), left_out)))
+            best = _cost(epochs, replace(options, noise=noise), left_out)
         for i, name in enumerate(RANGES):
             progress(f"{name} (sweep {sweep + 1} of {len(STEPS)})", (sweep + i / len(RANGES)) / len(STEPS))
             noise, best = _line(epochs, options, left_out, noise, best, name, step)
@@ -163,9 +175,8 @@ def _line(
     """Walk one parameter up while that helps; where it does not help at all, down."""
     for factor in (step, 1.0 / step):
         start = noise
-        for _ in range(4):
-            value = float(np.clip(getattr(noise, name) * factor, *RANGES[name]))
-            trial = replace(noise, **{name: value})
+        for _ in range(STRIDES):
+            trial = _scaled(noise, name, factor)
             cost = np.inf if trial == noise else _cost(epochs, replace(options, noise=trial), left_out)
             if cost >= best - 1.0:
                 break
@@ -173,6 +184,42 @@ def _line(
         if noise != start:
             break
     return noise, best
+
+
+def _scaled(noise: NoiseModel, name: str, factor: float) -> NoiseModel:
+    """Return the model with a parameter scaled within its range; with a correlation time, its size at equal drive."""
+    value = float(np.clip(getattr(noise, name) * factor, *RANGES[name]))
+    if name != "code_multipath_tau_s":
+        return replace(noise, **{name: value})
+    size = noise.code_multipath_m * np.sqrt(value / noise.code_multipath_tau_s)
+    return replace(noise, code_multipath_tau_s=value, code_multipath_m=float(size))
+
+
+def _satellites(updates: Sequence[Update]) -> tuple[tuple[str, float, float], ...]:
+    """Return how much larger each satellite's errors are than the fit says, code and range rate.
+
+    Means of white unit innovations over ``L`` epochs have variance ``1 / L``; the largest ratio to that over several
+    `L` also counts errors that are small but last.
+    """
+    series: dict[str, list[float]] = {}
+    for u in updates[SETTLE:]:
+        for key, value in zip(u.keys, u.nu / np.sqrt(np.diagonal(u.S)), strict=True):
+            series.setdefault(key, []).append(float(value))
+    excess = {key: _excess(np.array(x)) for key, x in series.items() if len(x) >= 100}
+    sats = dict.fromkeys(key[:3] for key in excess)
+    return tuple(
+        (
+            sat,
+            max((v for k, v in excess.items() if k.startswith(sat) and not is_rate(k)), default=1.0),
+            max((v for k, v in excess.items() if k.startswith(sat) and is_rate(k)), default=1.0),
+        )
+        for sat in sats
+    )
+
+
+def _excess(x: FloatArray) -> float:
+    ratios = [np.sqrt(n * np.mean(x[: len(x) // n * n].reshape(-1, n).mean(axis=1) ** 2)) for n in SPANS]
+    return float(np.clip(max(ratios), 0.7, 6.0))
 
 
 def _factors(updates: Sequence[Update], monitors: Sequence[Monitor]) -> tuple[tuple[str, float], ...]:

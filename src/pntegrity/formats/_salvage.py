@@ -132,28 +132,28 @@ def decode_crinex(text: str, path: Path, notes: list[str]) -> str:
     InputError
         Not even the first epoch can be decoded.
     """
-    try:
-        return str(sidereon.decode_crinex(text))
-    except _REFUSED as error:
-        reason = _short(error)
     lines = text.splitlines(keepends=True)
-    good, bad = 0, len(lines)
-    decoded = ""
-    while bad - good > 1:  # CRINEX differences run on, so that everything after the damage is lost
+    reason = _damage(lines)
+    if not reason:
+        return str(sidereon.decode_crinex(text))
+    good, bad = 0, len(lines) + 1
+    while bad - good > 1:  # CRINEX holds differences: after a damage nothing can be trusted
         middle = (good + bad) // 2
-        part = _decodes(lines, middle)
-        good, bad, decoded = (middle, bad, part) if part else (good, middle, decoded)
-    if not decoded:
-        raise InputError(f"the CRINEX file cannot be decoded ({reason})", path=path, hint="Download it again")
-    notes.append(f"CRINEX is damaged at or after line {good + 1} ({reason}): what follows is dropped")
-    return decoded
+        good, bad = (middle, bad) if _damage(lines[:middle]) in ("", UNFINISHED) else (good, middle)
+    for n in range(good, max(good - 200, 0), -1):  # back to the end of the last whole epoch
+        if not _damage(lines[:n]):
+            notes.append(f"CRINEX is damaged at or after line {n + 1} ({reason}): what follows is dropped")
+            return str(sidereon.decode_crinex("".join(lines[:n])))
+    raise InputError(f"the CRINEX file cannot be decoded ({reason})", path=path, hint="Download it again")
 
 
-def _decodes(lines: list[str], n: int) -> str:
-    """Return the text of the first `n` lines less an unfinished last epoch, or an empty text."""
-    for back in range(min(n, 80)):
-        try:
-            return str(sidereon.decode_crinex("".join(lines[: n - back])))
-        except _REFUSED:
-            continue
+UNFINISHED = "the last epoch is cut off"
+
+
+def _damage(lines: list[str]) -> str:
+    """Return what keeps CRINEX lines from being decoded, or an empty string."""
+    try:
+        sidereon.decode_crinex("".join(lines))
+    except _REFUSED as error:
+        return UNFINISHED if "truncated" in str(error) else _short(error)
     return ""

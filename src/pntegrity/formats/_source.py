@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pntegrity.errors import InputError
 
-__all__ = ["atomic_write", "read_bytes", "read_text", "with_decimal_version"]
+__all__ = ["atomic_write", "read_bytes", "read_text", "with_decimal_version", "without_cut_line"]
 
 GZIP_MAGIC = b"\x1f\x8b"
 OTHER_ARCHIVES = {
@@ -99,6 +99,14 @@ def with_decimal_version(text: str) -> str:
     if version and version[0].isdigit():
         return f"{float(version[0]):9.2f}" + text[9:]
     return text
+
+
+def without_cut_line(text: str, notes: list[str]) -> str:
+    """Return text less a last line without a line end: in a file that is cut off its last number is wrong."""
+    if text.endswith("\n") or "\n" not in text:
+        return text
+    notes.append("the last line has no line end and may be cut off: dropped")
+    return text[: text.rindex("\n") + 1]
 
 
 def atomic_write(path: Path | str, text: str) -> None:

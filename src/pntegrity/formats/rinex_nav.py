@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from pntegrity.physics.time import to_iso
 __all__ = ["Navigation", "read_navigation"]
 
 _REFUSED = (sidereon.SidereonError, ValueError)
+_NUMBER = re.compile(r"[-+]?\d*\.\d+(?:[DEde][-+]?\d+)?")
 IONO_LABELS = {"GPSA": "G", "GPSB": "G", "BDSA": "C", "BDSB": "C", "QZSA": "J", "QZSB": "J"}
 
 
@@ -60,7 +62,12 @@ def read_navigation(paths: Sequence[Path | str] | Path | str) -> Navigation:
         leap = _leap_seconds(text) if leap is None else leap
         sources.append(_source(path, Navigation(tuple(k), tuple(g))))
     if not kepler and not glonass:
-        raise InputError("no ephemeris can be read", path=files[0], hint="Download the navigation file again")
+        why = "; ".join(notes) or "the file holds none"
+        raise InputError(
+            f"no ephemeris can be used ({why})",
+            path=files[0],
+            hint="Give another navigation file of that day",
+        )
     return Navigation(
         kepler=tuple({_identity(r): r for r in kepler}.values()),
         glonass=tuple({(r.satellite, r.toe_gpst_j2000_s): r for r in glonass}.values()),
@@ -171,20 +178,18 @@ def _klobuchar(text: str) -> dict[str, Klobuchar]:
     for line in header.splitlines():
         label = line[60:].strip()
         if label == "IONOSPHERIC CORR" and line[:4] in IONO_LABELS:
-            values = _numbers(line, (5, 17, 29, 41))
+            values = _numbers(line[4:60])
             found.setdefault(IONO_LABELS[line[:4]], {}).setdefault(line[3], values)
         elif label in ("ION ALPHA", "ION BETA"):
-            found.setdefault("G", {})["A" if label == "ION ALPHA" else "B"] = _numbers(line, (2, 14, 26, 38))
+            found.setdefault("G", {})["A" if label == "ION ALPHA" else "B"] = _numbers(line[:60])
     out = {}
     for letter, pair in found.items():
         a, b = pair.get("A", ()), pair.get("B", ())
-        if len(a) == 4 and len(b) == 4 and any(a):
+        if len(a) >= 4 and len(b) >= 4 and any(a):
             out[letter] = Klobuchar((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3]))
     return out
 
 
-def _numbers(line: str, starts: tuple[int, ...]) -> tuple[float, ...]:
-    try:
-        return tuple(float(line[i : i + 12].replace("D", "E").replace("d", "e")) for i in starts)
-    except ValueError:
-        return ()
+def _numbers(text: str) -> tuple[float, ...]:
+    """Return the numbers of a line; by their looks, since writers disagree about the columns."""
+    return tuple(float(n.upper().replace("D", "E")) for n in _NUMBER.findall(text))

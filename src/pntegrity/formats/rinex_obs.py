@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from pntegrity.errors import InputError
 from pntegrity.formats._salvage import decode_crinex, parse_observations
-from pntegrity.formats._source import read_text, with_decimal_version
+from pntegrity.formats._source import read_text, with_decimal_version, without_cut_line
 from pntegrity.physics.tables import SignalTable
 from pntegrity.physics.time import BDT_OFFSET_NS, SECOND_NS, civil_to_ns, leap_seconds, to_iso
 
@@ -33,6 +33,8 @@ EVENTS = {
 }
 MAX_JUMP_NS = 366 * 86_400 * SECOND_NS
 """A time tag more than a year after the one before is taken as damaged."""
+LAST_NS = 2**62
+"""Later time tags (year 2126) are damaged."""
 KINDS = "CLDS"
 
 
@@ -69,6 +71,7 @@ def read_observations(path: Path | str) -> SignalTable:
     path = Path(path)
     text = read_text(path)
     notes: list[str] = []
+    text = without_cut_line(text, notes)
     if "CRINEX VERS" in text[:400]:
         text = decode_crinex(text, path, notes)
     _check_kind(text, path)
@@ -115,7 +118,7 @@ def _blocks(obs: Any, notes: list[str]) -> list[_Block]:
 def _block(obs: Any, indices: range, header: Any, shift: tuple[str, int], notes: list[str]) -> _Block:
     codes = {s.letter: header.obs_codes(s) for s in header.systems}
     width = {letter: len(c) for letter, c in codes.items()}
-    times, counts, sats, values, lli, misfits = [], [], [], [], [], 0
+    times, counts, sats, values, lli, misfits, no_time = [], [], [], [], [], 0, 0
     for i in indices:
         epoch = obs.epoch(i)
         if epoch.flag > 1 or epoch.epoch is None:
@@ -126,11 +129,17 @@ def _block(obs: Any, indices: range, header: Any, shift: tuple[str, int], notes:
         if len(rows) != sum(width.get(s[0], 0) for s in names):
             misfits += 1
             continue
-        times.append(_epoch_ns(epoch.epoch, shift))
+        t_ns = _epoch_ns(epoch.epoch, shift)
+        if not 0 <= t_ns < LAST_NS:
+            no_time += 1
+            continue
+        times.append(t_ns)
         counts.append(len(names))
         sats += names
         values.append(rows)
         lli.append(series.lli)
+    if no_time:
+        notes.append(f"{no_time} epochs dropped: no such time")
     if misfits:
         notes.append(f"{misfits} epochs dropped: their values do not fit the header's list of types")
     return _Block(
@@ -153,7 +162,11 @@ def _time_shift(header: Any) -> tuple[str, int]:
 
 
 def _epoch_ns(e: Any, shift: tuple[str, int]) -> int:
-    t_ns = civil_to_ns(e.year, e.month, e.day, e.hour, e.minute, e.second) + shift[1]
+    """Return ns of GPS time, -1 where there is no such time."""
+    try:
+        t_ns = civil_to_ns(e.year, e.month, e.day, e.hour, e.minute, e.second) + shift[1]
+    except (ValueError, OverflowError):
+        return -1
     if shift[0] in ("UTC", "GLONASST"):  # RINEX: GLO tags are UTC, not Moscow time
         t_ns += leap_seconds(e.year, e.month, e.day) * SECOND_NS
     return t_ns
@@ -195,19 +208,15 @@ def _table(blocks: Sequence[_Block], header: Any, path: Path, notes: list[str]) 
     parts = [p for b, i in zip(blocks, first, strict=False) for p in _columns(b, int(i), notes)]
     if not parts:
         raise InputError(
-            "the header declares no observation types that can be used",
+            "every observation in this file is blank or zero, or of an unknown type",
             path=path,
-            hint="Check its TYPES records",
+            hint="Check the receiver's logging set-up and the header's TYPES records",
         )
     c = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
     keep = _rising(t_all, notes)
     used = np.flatnonzero(keep[c["epoch"]])
     if not len(used):
-        raise InputError(
-            "every observation in this file is blank or zero",
-            path=path,
-            hint="Check the receiver's logging set-up",
-        )
+        raise InputError("no epoch with both a time and observations", path=path, hint="Log it again")
     # Sorting by small integers: (epoch, satellite, signal) in one key.
     key = (c["epoch"][used] << 40) | (c["sat"][used] << 16) | c["signal"][used]
     order = used[np.argsort(key, kind="stable")]

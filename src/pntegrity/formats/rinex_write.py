@@ -101,7 +101,7 @@ def _slots(table: SignalTable) -> Iterator[str]:
 
 
 def _civil(t_ns: int, form: str) -> str:
-    rounded = round(t_ns / 100) * 100
+    rounded = (t_ns + 50) // 100 * 100
     text = to_iso(rounded // SECOND_NS * SECOND_NS)
     second = int(text[17:19]) + rounded % SECOND_NS / SECOND_NS
     return form.format(

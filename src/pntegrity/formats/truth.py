@@ -239,7 +239,10 @@ def _time(row: Sequence[str], column: Mapping[str, int]) -> int:
     if "t_ns" in column:
         t = int(row[column["t_ns"]])
     elif "week" in column and "tow" in column:
-        t = int(from_week_tow(int(float(row[column["week"]])), float(row[column["tow"]])))
+        week, tow = float(row[column["week"]]), float(row[column["tow"]])
+        if not (0.0 <= week < 10_000.0 and 0.0 <= tow < 1e6):
+            raise ValueError("no GPS week and second")
+        t = int(from_week_tow(int(week), tow))
     else:
         t = from_iso(row[column["iso"]])
     if not 0 <= t < 2**62:
@@ -250,12 +253,16 @@ def _time(row: Sequence[str], column: Mapping[str, int]) -> int:
 def _usable(
     table: FloatArray, t_ns: npt.NDArray[np.int64], column: Mapping[str, int], notes: list[str]
 ) -> npt.NDArray[np.bool_]:
-    place = [column[k] for k in (("x", "y", "z") if "x" in column else ("lat", "lon", "height"))]
+    place = [
+        column[k] for k in (("x", "y", "z") if {"x", "y", "z"} <= column.keys() else ("lat", "lon", "height"))
+    ]
     finite = np.isfinite(table[:, place]).all(axis=1)
+    if not {"x", "y", "z"} <= column.keys():
+        finite &= (np.abs(table[:, place[0]]) <= 90.0) & (np.abs(table[:, place[1]]) <= 360.0)
     before = np.maximum.accumulate(np.where(finite, t_ns, -1))
     rising = np.append(True, t_ns[1:] > before[:-1])
     if not finite.all():
-        notes.append(f"{int((~finite).sum())} lines dropped: the position is no number")
+        notes.append(f"{int((~finite).sum())} lines dropped: their position is no number or no place")
     if not rising[finite].all():
         first = to_iso(int(t_ns[np.flatnonzero(finite & ~rising)[0]]))
         notes.append(

@@ -1,9 +1,9 @@
-"""The record of a run: every update (F, Q, H, R, nu, keys), so that any monitor can be run again without raw data.
+"""The record of a run: every update (F, Q, H, R, nu, keys), to run any monitor again without raw data.
 
-One ``.npz`` file, uncompressed, no pickles. Matrices are stored by their non-zeros (flat index, value, offsets), names
-through one string table. Covariances are not stored where the chain ``P' = F P F^T + Q`` and the measurement update
-give them back bit for bit; the writer checks that, and stores them dense where it is not so (another filter, say).
-On a machine with another linear algebra library they come back to rounding.
+One ``.npz`` file, uncompressed, no pickles. Matrices are stored by their non-zeros (flat index, value,
+offsets), names through one string table. Covariances are not stored where the chain ``P' = F P F^T + Q`` and
+the measurement update give them back bit for bit; the writer checks that, and stores them dense where it is
+not so (another filter, say). On a machine with another linear algebra library they come back to rounding.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import os
 import zipfile
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from pntegrity.records import FloatArray, Layout, Prior, State, Update
 __all__ = ["Entry", "UpdateRecord", "atomically", "read_record", "write_record"]
 
 Entry = tuple[Update, int]
-"""An update, and how many earlier ones it and those that follow replace (a repair; monitors begin anew there)."""
+"""An update, and how many earlier ones it and what follows replace (a repair; monitors begin anew there)."""
 
 FORMAT, VERSION = "pntegrity-updates", 1
 MATRICES = ("F", "Q", "H", "R")
@@ -56,10 +57,11 @@ def atomically(path: Path | str) -> Iterator[Path]:
         reason = error.strerror or str(error)
         raise InputError(f"cannot be written: {reason}", path=path, hint="Choose another folder") from error
     finally:
-        temporary.unlink(missing_ok=True) if path.parent.is_dir() else None
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
-# --- writing ------------------------------------------------------------------------------------------------------------
+# --- writing ----------------------------------------------------------------------------------------------
 
 
 class _Names:
@@ -90,7 +92,7 @@ class _Names:
 
 
 def write_record(path: Path | str, entries: Iterable[Entry], about: Mapping[str, Any] | None = None) -> None:
-    """Write updates in the order in which they were committed; a reader finds the old file or the whole new one.
+    """Write updates in the order in which they were committed; a reader finds the old file or the new one.
 
     Parameters
     ----------
@@ -133,7 +135,7 @@ def write_record(path: Path | str, entries: Iterable[Entry], about: Mapping[str,
     arrays |= _dense("posterior_P", [u.posterior.P for u in updates], _uncorrected(updates))
     arrays |= names.arrays()
     with atomically(path) as temporary, open(temporary, "wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def _offsets(lengths: Sequence[int]) -> npt.NDArray[np.int64]:
@@ -170,10 +172,14 @@ def _auxiliary(updates: Sequence[Update]) -> dict[str, npt.NDArray[Any]]:
     names = [n for n in dict.fromkeys(n for u in updates for n in u.aux) if _is_column(updates, n)]
     out: dict[str, npt.NDArray[Any]] = {
         "aux_names": np.frombuffer(json.dumps(names).encode(), dtype=np.uint8),
-        "aux_has": np.array([[n in u.aux for n in names] for u in updates], dtype=bool).reshape(len(updates), len(names)),
+        "aux_has": np.array([[n in u.aux for n in names] for u in updates], dtype=bool).reshape(
+            len(updates), len(names)
+        ),
     }
     for i, n in enumerate(names):
-        out[f"aux_{i}"] = _joined([np.asarray(u.aux.get(n, np.full(len(u.keys), np.nan)), dtype=np.float64) for u in updates])
+        out[f"aux_{i}"] = _joined(
+            [np.asarray(u.aux.get(n, np.full(len(u.keys), np.nan)), dtype=np.float64) for u in updates]
+        )
     return out
 
 
@@ -194,14 +200,16 @@ def _unpredicted(entries: Sequence[Entry]) -> list[int]:
     for i, (u, rewound) in enumerate(entries):
         del committed[len(committed) - rewound :]
         before = committed[-1] if committed else np.zeros((0, 0))
-        if u.F.shape[1] not in (0, len(before)) or not np.array_equal(_predicted(u.F, before, u.Q), u.prior.P):
+        if u.F.shape[1] not in (0, len(before)) or not np.array_equal(
+            _predicted(u.F, before, u.Q), u.prior.P
+        ):
             out.append(i)
         committed.append(u.posterior.P)
     return out
 
 
 def _uncorrected(updates: Sequence[Update]) -> list[int]:
-    """Return which posteriors the measurement update does not give back: a sample decides whether all are looked at."""
+    """Return which posteriors the measurement update does not give back (none where a sample comes back)."""
     some = [i for i in range(len(updates)) if i % SAMPLE < 2]
     if all(_comes_back(updates[i]) for i in some):
         return []
@@ -214,12 +222,12 @@ def _comes_back(u: Update) -> bool:
     return np.array_equal(again.posterior.P, u.posterior.P)
 
 
-# --- reading ------------------------------------------------------------------------------------------------------------
+# --- reading ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class UpdateRecord:
-    """A record of a run. Iterating gives ``(Update, rewound)`` in committed order, each rebuilt when its turn comes.
+    """A record of a run. Iterating gives ``(Update, rewound)`` in committed order, each rebuilt in its turn.
 
     Parameters
     ----------
@@ -253,7 +261,9 @@ class UpdateRecord:
             try:
                 update = reader.update(i, before)
             except (IndexError, ValueError, KeyError, TypeError, np.linalg.LinAlgError) as error:
-                raise InputError(f"update {i} does not make sense ({error})", path=self.path, hint=DAMAGED) from error
+                raise InputError(
+                    f"update {i} does not make sense ({error})", path=self.path, hint=DAMAGED
+                ) from error
             committed.append(update.posterior.P)
             yield update, rewound
 
@@ -268,12 +278,17 @@ class _Reader:
         self.a = arrays
         strings = _json(arrays["strings"])
         items, at = arrays["tuple_items"].tolist(), arrays["tuple_offset"].tolist()
-        self.tuples = [tuple(strings[i] for i in items[s:e]) for s, e in zip(at, at[1:], strict=False)]
+        self.tuples = [tuple(strings[i] for i in items[s:e]) for s, e in pairwise(at)]
         self.layouts = {int(i): Layout(self.tuples[i]) for i in np.unique(arrays["layout"])}
         self.aux_names = _json(arrays["aux_names"])
         lengths = [len(t) for t in self.tuples]
-        self.at = {n: _offsets([lengths[i] for i in arrays[n].tolist()]).tolist() for n in ("keys", "layout", "spare_keys")}
-        self.dense = {n: {int(i): j for j, i in enumerate(arrays[f"{n}_at"])} for n in ("prior_P", "posterior_P")}
+        self.at = {
+            n: _offsets([lengths[i] for i in arrays[n].tolist()]).tolist()
+            for n in ("keys", "layout", "spare_keys")
+        }
+        self.dense = {
+            n: {int(i): j for j, i in enumerate(arrays[f"{n}_at"])} for n in ("prior_P", "posterior_P")
+        }
 
     def update(self, i: int, before: FloatArray) -> Update:
         """Return entry `i`, which follows the posterior covariance `before`."""
@@ -283,18 +298,21 @@ class _Reader:
         m = len(keys)
         F = self._matrix("F", i, (n, int(self.a["columns_F"][i])))
         Q = self._matrix("Q", i, (n, n))
-        P = self._covariance("prior_P", i, n)
+        P, mean = self._covariance("prior_P", i, n), self._part("prior_mean", "layout", i)
         prior = Prior(
-            State(t_ns, self._part("prior_mean", "layout", i), _predicted(F, before, Q) if P is None else P, layout),
+            State(t_ns, mean, _predicted(F, before, Q) if P is None else P, layout),
             F, Q, int(self.a["consumed"][i]), self._names("events", i),
         )  # fmt: skip
         u = Update.of(
-            prior, keys, self._part("nu", "keys", i), self._matrix("H", i, (m, n)), self._matrix("R", i, (m, m)),
+            prior, keys, self._part("nu", "keys", i), self._matrix("H", i, (m, n)),
+            self._matrix("R", i, (m, m)),
             excluded=self._names("excluded", i), reason=self._names("reason", i)[0], aux=self._aux(i),
             spare_keys=self._names("spare_keys", i), spare_nu=self._part("spare_nu", "spare_keys", i),
             spare_var=self._part("spare_var", "spare_keys", i),
         )  # fmt: skip
-        return self._with_posterior(u, self._part("posterior_mean", "layout", i), self._covariance("posterior_P", i, n))
+        return self._with_posterior(
+            u, self._part("posterior_mean", "layout", i), self._covariance("posterior_P", i, n)
+        )
 
     def _with_posterior(self, u: Update, mean: FloatArray, P: FloatArray | None) -> Update:
         if P is None and np.array_equal(u.posterior.mean, mean):
@@ -351,7 +369,15 @@ def read_record(path: Path | str) -> UpdateRecord:
         return UpdateRecord(path, _json(arrays["about"]), arrays)
     except FileNotFoundError as error:
         raise InputError("no such file", path=path, hint="Give the updates.npz of a run") from error
-    except (OSError, ValueError, KeyError, EOFError, MemoryError, AttributeError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        MemoryError,
+        AttributeError,
+        zipfile.BadZipFile,
+    ) as error:
         if isinstance(error, InputError):
             raise
         raise InputError("not a whole record of updates", path=path, hint=DAMAGED) from error
@@ -361,7 +387,9 @@ def _check(arrays: Mapping[str, npt.NDArray[Any]], path: Path) -> None:
     if str(arrays.get("format", "")) != FORMAT:
         raise InputError("not a record of updates", path=path, hint="Give the updates.npz of a run")
     if int(arrays["version"]) > VERSION:
-        raise InputError(f"version {int(arrays['version'])} of the record is newer than this pntegrity", path=path)
+        raise InputError(
+            f"version {int(arrays['version'])} of the record is newer than this pntegrity", path=path
+        )
     n = len(arrays["t_ns"])
     per_update = ["rewound", "consumed", "columns_F", "reason", "aux_has", *NAMED]
     offsets = [f"{m}_offset" for m in MATRICES]

@@ -1,10 +1,11 @@
 """A bank of fault hypotheses carried through a filter: signatures x onsets, each a running matched filter.
 
-For a hypothesis whose unit fault moves the innovation mean by ``g_k`` (see `windows.respond`), the log-likelihood ratio
-is ``num^2 / (2 den)`` with ``num = sum g_k^T S_k^-1 nu_k`` and ``den = sum g_k^T S_k^-1 g_k``; ``num / sqrt(den)`` is a
-unit normal without a fault. Correlations of hypotheses are sums of the same kind, so that the threshold on the largest
-of them is exact enough to hold its false-alarm rate (see `tails.effective_tests`). Everything but ``num`` is free of
-data: a `Bank` is carried once, and any number of runs of ``num`` beside it (see `MaximumTest`).
+For a hypothesis whose unit fault moves the innovation mean by ``g_k`` (see `windows.respond`), the
+log-likelihood ratio is ``num^2 / (2 den)`` with ``num = sum g_k^T S_k^-1 nu_k`` and ``den = sum g_k^T S_k^-1
+g_k``; ``num / sqrt(den)`` is a unit normal without a fault. Correlations of hypotheses are sums of the same
+kind, so that the threshold on the largest of them is exact enough to hold its false-alarm rate (see
+`tails.effective_tests`). Everything but ``num`` is free of data: a `Bank` is carried once, and any number of
+runs of ``num`` beside it (see `MaximumTest`).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ LEAST = 1e-9
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which onsets are kept: every `step`-th epoch, thinned by octaves of age, from `youngest` to `oldest` epochs."""
+    """Which onsets are kept: every `step`-th, thinned by octaves of age, from `youngest` to `oldest` epochs."""
 
     step: int
     youngest: int
@@ -76,7 +77,7 @@ class Bank:
 
 @dataclass(frozen=True, eq=False)
 class MaximumTest:
-    """One epoch of a bank, without data: what becomes of ``num``, and what its largest normalised square is held against.
+    """One epoch of a bank, without data: what becomes of ``num``, and the threshold of its squares.
 
     Hypotheses are flat, shape (h,): bank after bank, signature after signature, onset after onset.
 
@@ -113,8 +114,14 @@ class MaximumTest:
         none = np.zeros(0)
         return MaximumTest((), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), none, none, reason=reason)
 
+    @property
+    def overlap(self) -> int:
+        """Epochs since the oldest onset that is carried."""
+        ages = [int(b.onset.max() - b.onset.min()) + 1 for b in self.banks if len(b.onset)]
+        return max(ages, default=1)
+
     def carry(self, num: FloatArray, white: FloatArray) -> FloatArray:
-        """Return ``num`` after the epoch, shape (h,) or (h, runs), from the one before and whitened innovations."""
+        """Return ``num`` after the epoch, shape (h,) or (h, runs), from that before and the whitened rows."""
         none = np.zeros((1, *num.shape[1:]))
         return np.asarray(np.concatenate((num, none))[self.source] + self.response @ white)
 
@@ -179,7 +186,13 @@ def _gather(
 
 
 def advance(
-    bank: Bank, t_ns: int, touched: tuple[FloatArray, FloatArray], F: FloatArray, H: FloatArray, L: FloatArray, K: FloatArray
+    bank: Bank,
+    t_ns: int,
+    touched: tuple[FloatArray, FloatArray],
+    F: FloatArray,
+    H: FloatArray,
+    L: FloatArray,
+    K: FloatArray,
 ) -> tuple[Bank, FloatArray]:
     """Return the bank after one update and the whitened responses, shape (s * o, m), of its hypotheses.
 
@@ -199,7 +212,7 @@ def advance(
 
 
 def stack_sources(sources: Sequence[IntArray], sizes: Sequence[int]) -> IntArray:
-    """Return flat sources of banks that stand one after another; `sizes` are their numbers of hypotheses before."""
+    """Return flat sources of banks that stand one after another; `sizes`: their hypotheses before."""
     offsets = np.concatenate(([0], np.cumsum(sizes)[:-1]))
     moved = [np.where(source < 0, source, source + at) for source, at in zip(sources, offsets, strict=True)]
     return np.concatenate(moved).astype(np.int64)
@@ -207,7 +220,7 @@ def stack_sources(sources: Sequence[IntArray], sizes: Sequence[int]) -> IntArray
 
 @njit(cache=True, nogil=True)
 def parents(gram: FloatArray, tested: npt.NDArray[np.bool_]) -> FloatArray:
-    """Return each tested hypothesis' largest correlation with an earlier onset of its signature (0: none), -1 where untested."""
+    """Return each tested hypothesis' largest correlation with an earlier onset; -1 where untested."""
     s, o = gram.shape[0], gram.shape[1]
     rho = np.full((s, o), -1.0)
     for i in range(s):

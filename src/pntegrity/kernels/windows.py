@@ -35,7 +35,7 @@ class Form:
 
     def statistic(self, white: Sequence[FloatArray]) -> FloatArray:
         """Return the statistic of the whitened innovations, each of shape (m_j,) or (m_j, runs)."""
-        y = self.metric @ sum(M @ n for M, n in zip(self.maps, white, strict=True))
+        y = self.project(white)
         return np.asarray(np.sum(y * y, axis=0))
 
     def project(self, white: Sequence[FloatArray]) -> FloatArray:
@@ -44,8 +44,35 @@ class Form:
 
     def covariance(self) -> FloatArray:
         """Return the exact covariance of ``metric y``: the identity where the metric is the exact one."""
-        T = [self.metric @ M for M in self.maps]
-        return np.asarray(sum(t @ t.T for t in T))
+        T = self.stacked()
+        return np.asarray(T @ T.T)
+
+    def stacked(self) -> FloatArray:
+        """Return ``metric [M_1 ... M_k]``, shape (r, sum of m_j): one matrix for the whole window, oldest rows first."""
+        return np.asarray(self.metric @ np.concatenate(self.maps, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticTest:
+    """One epoch of a quadratic monitor, without data: the form over the last updates and what it is held against.
+
+    Parameters
+    ----------
+    form : Form or None
+        None where no test is possible.
+    threshold, p_fa : float
+        Threshold on the statistic, and the false-alarm probability that it is meant for.
+    dof : int
+        Degrees of freedom of the chi-square behind the threshold.
+    reason : str
+        Why no test is possible, where none is.
+    """
+
+    form: Form | None
+    threshold: float = float("inf")
+    p_fa: float = 0.0
+    dof: int = 0
+    reason: str = ""
 
 
 def inverse_root(cov: FloatArray, rtol: float = 1e-9) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from pntegrity.kernels.signatures import Signature, catalogue, masks
 from pntegrity.kernels.tails import chi2_threshold
-from pntegrity.kernels.windows import Form, respond
+from pntegrity.kernels.windows import Form, QuadraticTest, respond
 from pntegrity.records import FloatArray, Suspect, Update, Verdict
 
 Window = tuple[Update, ...]
@@ -35,21 +35,29 @@ def unavailable(monitor: str, variant: str, update: Update, reason: str) -> Verd
     return Verdict(monitor, variant, update.t_ns, "unavailable", reason=reason)
 
 
-def judge(
-    monitor: str, variant: str, window: Window, form: Form, *, p_fa: float, factor: float, consumed: int = 0
-) -> Verdict:
-    """Return the verdict of a quadratic form on the window's last epoch, with suspects where it alarms."""
-    now = window[-1]
+def quadratic_test(
+    form: Form | None, update: Update, *, p_fa: float, factor: float, consumed: int = 0, reason: str = ""
+) -> QuadraticTest:
+    """Return the test of a form; without one, or without degrees of freedom, the reason why there is none."""
+    if form is None:
+        return QuadraticTest(None, reason=reason or no_redundancy(update))
     dof = form.dof - consumed
     if dof <= 0:
-        return unavailable(monitor, variant, now, no_redundancy(now))
-    white = [u.white for u in window]
-    statistic = float(form.statistic(white))
-    threshold = factor * chi2_threshold(p_fa, dof)
-    if statistic <= threshold:
-        return Verdict(monitor, variant, now.t_ns, "ok", statistic, threshold, p_fa, dof)
-    suspects = name_suspects(window, form)
-    return Verdict(monitor, variant, now.t_ns, "alert", statistic, threshold, p_fa, dof, suspects, is_ambiguous(suspects))
+        return QuadraticTest(None, reason=no_redundancy(update))
+    return QuadraticTest(form, factor * chi2_threshold(p_fa, dof), p_fa, dof)
+
+
+def judge(monitor: str, variant: str, test: QuadraticTest, memory: Window, update: Update) -> Verdict:
+    """Return the verdict of a test on `update`, `memory` being the updates before it, with suspects where it alarms."""
+    if test.form is None:
+        return unavailable(monitor, variant, update, test.reason)
+    window = (*memory, update)[-len(test.form.maps) :]
+    statistic = float(test.form.statistic([u.white for u in window]))
+    facts = (statistic, test.threshold, test.p_fa, test.dof)
+    if statistic <= test.threshold:
+        return Verdict(monitor, variant, update.t_ns, "ok", *facts)
+    suspects = name_suspects(window, test.form)
+    return Verdict(monitor, variant, update.t_ns, "alert", *facts, suspects, is_ambiguous(suspects))
 
 
 def no_redundancy(update: Update) -> str:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from pntegrity.kernels.extrapolation import innovation_maps
-from pntegrity.kernels.windows import Form, definite_inverse_root, exact_form
-from pntegrity.monitors._window import Window, is_start, judge, no_redundancy, slide, unavailable
+from pntegrity.kernels.windows import Form, QuadraticTest, definite_inverse_root, exact_form
+from pntegrity.monitors._window import Window, is_start, judge, quadratic_test, slide
 from pntegrity.records import Update, Verdict
 
 
@@ -72,18 +72,17 @@ class Aime:
         same = all(u.keys == window[-1].keys for u in window)
         return window if same else ()
 
+    def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
+        """Return the test of the window that ends with `update`, without data, and the memory after it."""
+        window = slide(memory, update, self.window)
+        short = self.variant == "published" and len(window) < self.window
+        form = self.form(window[-1:] if short else window)
+        reason = "the rows changed within the window: the published test does not apply" if window else ""
+        consumed = update.consumed if is_start(update) else 0
+        test = quadratic_test(form, update, p_fa=self.p_fa, factor=self.factor, consumed=consumed, reason=reason)
+        return test, window
+
     def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
         """Test the window that ends with `update`."""
-        window = slide(memory, update, self.window)
-        if not window:
-            return unavailable(self.name, self.variant, update, no_redundancy(update)), ()
-        tested = window
-        if self.variant == "published" and len(window) < self.window:
-            tested = window[-1:]
-        form = self.form(tested)
-        if form is None:
-            reason = "the rows changed within the window: the published test does not apply"
-            return unavailable(self.name, self.variant, update, reason), window
-        consumed = update.consumed if is_start(update) else 0
-        verdict = judge(self.name, self.variant, tested, form, p_fa=self.p_fa, factor=self.factor, consumed=consumed)
-        return verdict, window
+        test, after = self.plan(memory, update)
+        return judge(self.name, self.variant, test, memory, update), after

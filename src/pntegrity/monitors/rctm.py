@@ -7,8 +7,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from pntegrity.kernels.windows import Form
-from pntegrity.monitors._window import Window, judge, no_redundancy, slide, unavailable
+from pntegrity.kernels.windows import Form, QuadraticTest
+from pntegrity.monitors._window import Window, judge, quadratic_test
 from pntegrity.records import Update, Verdict
 
 
@@ -56,13 +56,12 @@ class Rctm:
         m = len(window[-1].keys)
         return Form((np.eye(m),), np.eye(m), m)
 
+    def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
+        """Return the test of `update`, without data, and the memory after it."""
+        form = self.form((update,))
+        return quadratic_test(form, update, p_fa=self.p_fa, factor=self.factor, consumed=update.consumed), ()
+
     def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
         """Test one update."""
-        window = slide((), update, 1)
-        form = self.form(window)
-        if form is None:
-            return unavailable(self.name, self.variant, update, no_redundancy(update)), ()
-        verdict = judge(
-            self.name, self.variant, window, form, p_fa=self.p_fa, factor=self.factor, consumed=update.consumed
-        )
-        return verdict, ()
+        test, after = self.plan(memory, update)
+        return judge(self.name, self.variant, test, memory, update), after

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+import numpy as np
+
 from pntegrity.kernels.extrapolation import state_maps
-from pntegrity.kernels.windows import Form, inverse_root
-from pntegrity.monitors._window import Window, is_start, judge, slide, unavailable
+from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
+from pntegrity.monitors._window import Window, is_start, judge, quadratic_test, slide
 from pntegrity.monitors.srctm import block_of, state_test_reason
 from pntegrity.records import Update, Verdict
 
@@ -67,16 +69,17 @@ class Sraime:
         maps, believed = state_maps(window, blocks)
         if self.variant == "published":
             return Form(maps, inverse_root(believed), len(blocks[-1]))
-        metric = inverse_root(sum(M @ M.T for M in maps))
+        metric = inverse_root(np.asarray(sum(M @ M.T for M in maps)))
         return Form(maps, metric, metric.shape[0])
+
+    def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
+        """Return the test of the window that ends with `update`, without data, and the memory after it."""
+        window = slide(memory, update, self.window)
+        short = self.variant == "published" and len(window) < self.window
+        form, reason = self.form(window[-1:] if short else window), state_test_reason(update)
+        return quadratic_test(form, update, p_fa=self.p_fa, factor=self.factor, reason=reason), window
 
     def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
         """Test the window that ends with `update`."""
-        window = slide(memory, update, self.window)
-        tested = window
-        if self.variant == "published" and len(tested) < self.window:
-            tested = tested[-1:]
-        form = self.form(tested)
-        if form is None:
-            return unavailable(self.name, self.variant, update, state_test_reason(update)), window
-        return judge(self.name, self.variant, tested, form, p_fa=self.p_fa, factor=self.factor), window
+        test, after = self.plan(memory, update)
+        return judge(self.name, self.variant, test, memory, update), after

@@ -7,8 +7,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from pntegrity.kernels.windows import Form, inverse_root
-from pntegrity.monitors._window import Window, is_start, judge, no_redundancy, slide, unavailable
+from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
+from pntegrity.monitors._window import Window, is_start, judge, no_redundancy, quadratic_test, slide
 from pntegrity.records import Update, Verdict
 
 
@@ -59,13 +59,15 @@ class Srctm:
         metric = inverse_root(u.absorbed[np.ix_(b, b)])
         return Form((u.K[b] @ u.L,), metric, len(b) if self.variant == "published" else metric.shape[0])
 
+    def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
+        """Return the test of `update`, without data, and the memory after it."""
+        form, reason = self.form(slide((), update, 1)), state_test_reason(update)
+        return quadratic_test(form, update, p_fa=self.p_fa, factor=self.factor, reason=reason), ()
+
     def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
         """Test one update."""
-        window = slide((), update, 1)
-        form = self.form(window)
-        if form is None:
-            return unavailable(self.name, self.variant, update, state_test_reason(update)), ()
-        return judge(self.name, self.variant, window, form, p_fa=self.p_fa, factor=self.factor), ()
+        test, after = self.plan(memory, update)
+        return judge(self.name, self.variant, test, memory, update), after
 
 
 def block_of(update: Update, block: str) -> np.ndarray:

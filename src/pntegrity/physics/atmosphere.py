@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.physics.frames import ecef_to_geodetic
+from pntegrity.physics.frames import geodetic_of
 from pntegrity.physics.tables import Klobuchar
 from pntegrity.physics.time import DAY_NS, SECOND_NS, to_unix_us
 from pntegrity.records import FloatArray
@@ -21,6 +21,8 @@ __all__ = ["klobuchar_m", "troposphere_m"]
 LOWEST_M, HIGHEST_M = -1_000.0, 20_000.0
 """Heights between which a receiver has a troposphere above it."""
 HUMIDITY = 0.5
+LOWEST_RAD, HIGHEST_RAD = 0.0175, 1.5708
+"""Elevations: below 1 degree the mapping functions grow without bound and are kept at their value there."""
 
 
 def klobuchar_m(
@@ -53,18 +55,22 @@ def klobuchar_m(
     import sidereon
 
     n = len(el_rad)
-    lat, lon, height = ecef_to_geodetic(receiver_m)
+    lat, lon, height = geodetic_of(*np.asarray(receiver_m, dtype=np.float64).tolist())
     if coefficients is None or not LOWEST_M < height < 1e6:
         return np.zeros(n)
     time_of_day = t_ns % DAY_NS / SECOND_NS
     place = math.degrees(lat), math.degrees(lon)
-    el, az = np.degrees(el_rad), np.degrees(az_rad)
-    usable = (el >= 0.0) & np.isfinite(az) & (np.asarray(freq_hz) > 0.0)
     model = sidereon.klobuchar_native
     a, b = coefficients.alpha, coefficients.beta
-    rows = zip(usable.tolist(), az.tolist(), el.tolist(), np.broadcast_to(freq_hz, n).tolist(), strict=True)
+    el, az = np.degrees(el_rad).tolist(), (np.degrees(az_rad) % 360.0).tolist()
+    f = np.broadcast_to(freq_hz, n).tolist()
     return np.array(
-        [model(a, b, *place, azi, ele, time_of_day, f) if use else 0.0 for use, azi, ele, f in rows]
+        [
+            model(a, b, *place, az[i], el[i], time_of_day, f[i])
+            if 0.0 <= el[i] <= 90.0 and f[i] > 0.0 and math.isfinite(az[i])
+            else 0.0
+            for i in range(n)
+        ]
     )
 
 
@@ -84,7 +90,7 @@ def troposphere_m(receiver_m: npt.ArrayLike, el_rad: FloatArray, t_ns: int) -> F
     """
     import sidereon
 
-    lat, lon, height = ecef_to_geodetic(receiver_m)
+    lat, lon, height = geodetic_of(*np.asarray(receiver_m, dtype=np.float64).tolist())
     if not LOWEST_M < height < HIGHEST_M:
         return np.zeros(len(el_rad))
     pressure_hpa = 1013.25 * (1.0 - 2.2557e-5 * height) ** 5.2568
@@ -92,4 +98,9 @@ def troposphere_m(receiver_m: npt.ArrayLike, el_rad: FloatArray, t_ns: int) -> F
     when = to_unix_us(t_ns)
     model = sidereon.tropo_slant_delay
     fixed = (lat, lon, height, pressure_hpa, temperature_k, HUMIDITY, when)
-    return np.array([model(el, *fixed) if el > 0.0 else 0.0 for el in np.asarray(el_rad).tolist()])
+    return np.array(
+        [
+            model(max(el, LOWEST_RAD), *fixed) if 0.0 < el < HIGHEST_RAD else 0.0
+            for el in np.asarray(el_rad).tolist()
+        ]
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pntegrity.physics.time import BDT_OFFSET_NS, BDT_WEEK, WEEK_NS
+from pntegrity.physics.time import BDT_OFFSET_NS, BDT_WEEK, DAY_NS, WEEK_NS
 
 __all__ = ["MESSAGES", "accuracy_m", "is_possible", "sisa_is_index", "toc_ns", "toe_ns", "upload_s"]
 
@@ -15,7 +15,14 @@ ROOT_AXIS = (4_900.0, 6_700.0)
 """Root of the semi-major axis, m^0.5: 24,000 to 44,900 km, GLONASS to geostationary."""
 INCLINED_RAD = (0.7, 1.2)
 """Inclinations of GPS, Galileo and BeiDou D1 satellites. Some writers give semicircles for radians: 0.3."""
+LARGEST = {
+    "m0": 7.0, "omega0": 7.0, "omega": 7.0, "i0": 4.0,
+    "delta_n": 1e-6, "omega_dot": 1e-6, "idot": 1e-6,
+    "cuc": 1e-2, "cus": 1e-2, "cic": 1e-2, "cis": 1e-2, "crc": 1e5, "crs": 1e5,
+}  # fmt: skip
+"""Bounds of elements, rad, rad/s and m, beyond what the messages' fields can hold; nan fails them too."""
 CLOCK_S = 0.1
+LAST_WEEK = 10_000
 
 
 def is_possible(record: Any) -> bool:
@@ -23,31 +30,22 @@ def is_possible(record: Any) -> bool:
     if record.satellite[0] == "R":
         return _glonass_is_possible(record)
     e, c = record.elements, record.clock
-    names = (
-        "sqrt_a",
-        "e",
-        "m0",
-        "delta_n",
-        "omega0",
-        "i0",
-        "omega",
-        "omega_dot",
-        "idot",
-        "cuc",
-        "cus",
-        "crc",
-        "crs",
-    )
-    values = [getattr(e, n) for n in (*names, "cic", "cis", "toe_sow")] + [c.af0, c.af1, c.af2, c.toc_sow]
-    if not all(math.isfinite(v) for v in values):
+    if not all(abs(getattr(e, name)) < most for name, most in LARGEST.items()):
+        return False
+    times = (record.toe_week, record.toc_week)
+    if not all(0 <= week < LAST_WEEK for week in times) or not math.isfinite(record.sv_health):
+        return False
+    if not (0.0 <= e.toe_sow <= 604_800.0 and 0.0 <= c.toc_sow <= 604_800.0):
         return False
     inclined = record.message.label not in ("beidou_d2", "qzss_lnav")
-    return (
+    return bool(
         ROOT_AXIS[0] < e.sqrt_a < ROOT_AXIS[1]
         and 0.0 <= e.e < 0.4
         and (not inclined or INCLINED_RAD[0] < abs(e.i0) < INCLINED_RAD[1])
         and abs(c.af0) < CLOCK_S
         and abs(c.af1) < 1e-6
+        and abs(c.af2) < 1e-12
+        and abs(toc_ns(record) - toe_ns(record)) < DAY_NS
     )
 
 

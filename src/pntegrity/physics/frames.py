@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
 from pntegrity.records import FloatArray
 
-__all__ = ["ecef_to_geodetic", "elevation_azimuth", "enu_rotation", "geodetic_to_ecef"]
+__all__ = ["ecef_to_geodetic", "elevation_azimuth", "enu_rotation", "geodetic_of", "geodetic_to_ecef"]
 
 
 def ecef_to_geodetic(position_m: npt.ArrayLike) -> FloatArray:
@@ -27,7 +30,7 @@ def ecef_to_geodetic(position_m: npt.ArrayLike) -> FloatArray:
 def geodetic_to_ecef(
     latitude_rad: npt.ArrayLike, longitude_rad: npt.ArrayLike, height_m: npt.ArrayLike
 ) -> FloatArray:
-    """Return ECEF positions (n, 3), m; (3,) for scalars; nan where an input is not finite."""
+    """Return ECEF positions (n, 3), m; (3,) for scalars; nan where there is no such place."""
     import sidereon
 
     columns = np.broadcast_arrays(
@@ -35,17 +38,39 @@ def geodetic_to_ecef(
     )
     rows = np.stack([np.atleast_1d(c).astype(np.float64) for c in columns], axis=-1)
     out = np.full(rows.shape, np.nan)
-    good = np.isfinite(rows).all(axis=1)
+    good = np.isfinite(rows).all(axis=1) & (np.abs(rows[:, 0]) <= 90.0) & (np.abs(rows[:, 1]) <= 360.0)
+    rows[:, 1] = np.mod(rows[:, 1] + 180.0, 360.0) - 180.0  # sidereon takes -180 to 180 only
     if good.any():
         out[good] = sidereon.geodetic_to_ecef(rows[good]) * 1e3
     return out[0] if columns[0].ndim == 0 else out
 
 
+@lru_cache(maxsize=64)
+def geodetic_of(x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
+    """Return latitude, longitude (rad) and height (m) of one ECEF position; nan where not finite.
+
+    Kept for the last positions: an epoch asks for the same one several times.
+    """
+    import sidereon
+
+    if not (math.isfinite(x_m) and math.isfinite(y_m) and math.isfinite(z_m)):
+        return math.nan, math.nan, math.nan
+    lat, lon, height = sidereon.ecef_to_geodetic(np.array([[x_m, y_m, z_m]]) * 1e-3)[0].tolist()
+    return math.radians(lat), math.radians(lon), height * 1e3
+
+
 def enu_rotation(position_m: npt.ArrayLike) -> FloatArray:
     """Return the matrix (3, 3) that turns ECEF differences at a position into east, north, up."""
-    lat, lon, _ = ecef_to_geodetic(position_m)
-    (sp, cp), (sl, cl) = (np.sin(lat), np.cos(lat)), (np.sin(lon), np.cos(lon))
-    return np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
+    return _rotation(*np.asarray(position_m, dtype=np.float64).tolist())
+
+
+@lru_cache(maxsize=64)
+def _rotation(x_m: float, y_m: float, z_m: float) -> FloatArray:
+    lat, lon, _ = geodetic_of(x_m, y_m, z_m)
+    (sp, cp), (sl, cl) = (math.sin(lat), math.cos(lat)), (math.sin(lon), math.cos(lon))
+    out = np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
+    out.flags.writeable = False
+    return out
 
 
 def elevation_azimuth(receiver_m: npt.ArrayLike, los: FloatArray) -> tuple[FloatArray, FloatArray]:

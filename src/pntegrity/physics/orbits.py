@@ -114,6 +114,8 @@ def satellite_states(
         ok=np.zeros(n, dtype=bool),
         reason=np.full(n, "no ephemeris", dtype=object),
     )
+    if not n:
+        return out
     names = np.char.add(np.char.add(sats.astype("<U3"), ":"), np.asarray(signals, dtype="<U5"))
     kinds, inverse = np.unique(names, return_inverse=True)
     has_range = np.isfinite(pseudorange_m)

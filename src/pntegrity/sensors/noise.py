@@ -31,7 +31,8 @@ class NoiseModel:
     code_smoothing_tau_s : float
         Time constant of the smoothing that the receiver applies to its code: multipath is then second order. Zero: none.
     code_bias_m, code_bias_tau_s : float
-        Slow error of a satellite, not scaled. Zero `code_multipath_m` or `code_bias_m`: no such states.
+        Slow error of a satellite, scaled by ``1 / sin(elevation)`` up to 3 (atmosphere). Zero `code_multipath_m` or
+        `code_bias_m`: no such states.
     glonass_factor, bds2_factor : float
         Code errors of GLONASS (lower chip rate, inter-frequency biases) and of BDS-2 (multipath aboard the satellite)
         are larger by these.
@@ -47,26 +48,29 @@ class NoiseModel:
         Receiver clock, random walk of the drift, m/s/sqrt(s).
     isb_m : float
         Inter-system biases, random walk, m/sqrt(s).
+    satellites : tuple of (str, float, float)
+        Satellite, code factor, range-rate factor: what a calibration found beside the above, at its site and hours.
     factors : tuple of (str, float)
         Multipliers of the monitors' thresholds, from a calibration.
     name : str
         What the reports call the model.
     """
 
-    code_white_m: float = 0.10
-    code_multipath_m: float = 0.30
-    code_multipath_tau_s: float = 20.0
+    code_white_m: float = 0.03
+    code_multipath_m: float = 0.08
+    code_multipath_tau_s: float = 6.0
     code_smoothing_tau_s: float = 0.0
-    code_bias_m: float = 2.0
+    code_bias_m: float = 0.3
     code_bias_tau_s: float = 3600.0
     glonass_factor: float = 2.0
     bds2_factor: float = 2.0
-    doppler_mps: float = 0.03
-    cn0_ref_dbhz: float = 40.0
+    doppler_mps: float = 0.01
+    cn0_ref_dbhz: float = 35.0
     accel_mps2: float = 0.5
     clock_m: float = 0.05
     clock_drift_mps: float = 0.05
     isb_m: float = 0.001
+    satellites: tuple[tuple[str, float, float], ...] = ()
     factors: tuple[tuple[str, float], ...] = ()
     name: str = "default"
 
@@ -92,19 +96,42 @@ class NoiseModel:
         low = np.nan_to_num(self.cn0_ref_dbhz - cn0_dbhz, nan=0.0)
         return np.asarray(10.0 ** (np.maximum(low, 0.0) / 20.0) / np.sin(np.maximum(el_rad, np.deg2rad(3.0))))
 
+    def obliquity(self, el_rad: FloatArray) -> FloatArray:
+        """Return by how much the slow errors are larger than at the zenith."""
+        return np.asarray(np.minimum(1.0 / np.sin(np.maximum(el_rad, 0.1)), 3.0))
+
     def code_factor(self, keys: tuple[str, ...]) -> FloatArray:
         """Return by how much the code errors of the rows' satellites are larger than those of GPS, shape (n,)."""
-        return _code_factor(keys, self.glonass_factor, self.bds2_factor)
+        return _code_factor(keys, self.glonass_factor, self.bds2_factor, self.satellites)
 
-    def snapshot_sigma_m(self, scale: FloatArray) -> FloatArray:
-        """Return the total standard deviation of a code row, for a solver without error states."""
-        return np.sqrt((self.code_white_m**2 + self.code_multipath_m**2) * scale**2 + self.code_bias_m**2)
+    def rate_factor(self, keys: tuple[str, ...]) -> FloatArray:
+        """Return by how much the range-rate errors of the rows' satellites are larger, shape (n,)."""
+        return _rate_factor(keys, self.satellites)
+
+    def snapshot_sigma_m(self, scale: FloatArray, slow: FloatArray) -> FloatArray:
+        """Return the total standard deviation of a code row, for a solver without error states.
+
+        Parameters
+        ----------
+        scale, slow : ndarray, shape (n,)
+            `scale` and `obliquity`, each times `code_factor`.
+        """
+        return np.hypot(np.hypot(self.code_white_m, self.code_multipath_m) * scale, self.code_bias_m * slow)
 
 
 @lru_cache(maxsize=512)
-def _code_factor(keys: tuple[str, ...], glonass: float, bds2: float) -> FloatArray:
-    factor = [glonass if k[0] == "R" else bds2 if k[0] == "C" and k[1:3] <= LAST_BDS2 else 1.0 for k in keys]
-    return np.array(factor)
+def _code_factor(
+    keys: tuple[str, ...], glonass: float, bds2: float, satellites: tuple[tuple[str, float, float], ...]
+) -> FloatArray:
+    own = {sat: code for sat, code, _ in satellites}
+    family = [glonass if k[0] == "R" else bds2 if k[0] == "C" and k[1:3] <= LAST_BDS2 else 1.0 for k in keys]
+    return np.array([f * own.get(k[:3], 1.0) for f, k in zip(family, keys, strict=True)])
+
+
+@lru_cache(maxsize=512)
+def _rate_factor(keys: tuple[str, ...], satellites: tuple[tuple[str, float, float], ...]) -> FloatArray:
+    own = {sat: rate for sat, _, rate in satellites}
+    return np.array([own.get(k[:3], 1.0) for k in keys])
 
 
 #: A white model: no correlated states; what the simulations of the literature assume.

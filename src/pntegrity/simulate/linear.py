@@ -1,12 +1,12 @@
-"""The linear simulator: a filter's gains once, its white innovations drawn, and faults carried through exactly.
+"""The linear simulator: a filter's gains once, white innovations drawn, faults carried through exactly.
 
-The model is ``x_k = F x_{k-1} + w``, ``z_k = H x_k + v``. Gains do not depend on data, so a thousand runs cost one
-matrix product an epoch. What is not noise moves the means only. With the error ``e = x_hat - x``:
+The model is ``x_k = F x_{k-1} + w``, ``z_k = H x_k + v``. Gains do not depend on data, so a thousand runs
+cost one matrix product an epoch. What is not noise moves the means only. With the error ``e = x_hat - x``:
 
     e'_k = F e_{k-1} - b_k,  g_k = f_k - H e'_k,  e_k = e'_k + K g_k + a_k
 
-where ``f`` is a fault on the rows, ``b`` an unexpected push of the true state, ``a`` one added to the filter's estimate,
-and ``g`` the mean of the innovation (design, section 2; there with ``a = b = 0``).
+where ``f`` is a fault on the rows, ``b`` an unexpected push of the true state, ``a`` one added to the
+filter's estimate, and ``g`` the mean of the innovation (design, section 2; there with ``a = b = 0``).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from pntegrity.kernels.linear import cholesky
 from pntegrity.records import Epoch, FloatArray, Layout, Observation, Prior, State, Update
 
 __all__ = [
-    "SPP_STATES", "Disturbance", "LinearModel", "draw", "filter_drift_fault", "gains", "linear_epochs", "linear_updates",
-    "receiver_drift_fault", "shifts", "spp_model", "whites",
+    "SPP_STATES", "Disturbance", "LinearModel", "draw", "filter_drift_fault", "gains", "linear_epochs",
+    "linear_updates", "receiver_drift_fault", "shifts", "spp_model", "whites",
 ]  # fmt: skip
 
 SPP_STATES = Layout(("pos:x", "pos:y", "pos:z", "vel:x", "vel:y", "vel:z", "clk", "drift"))
@@ -29,7 +29,7 @@ SPP_STATES = Layout(("pos:x", "pos:y", "pos:z", "vel:x", "vel:y", "vel:z", "clk"
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """A linear system with Gaussian noise; each matrix is constant (2-D) or given for every epoch (3-D, epoch first).
+    """A linear system with Gaussian noise; a matrix is constant (2-D) or one an epoch (3-D, epoch first).
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class LinearModel:
         return a[k] if a.ndim == 3 else a
 
     def t_ns(self, k: int) -> int:
-        """Return the time of epoch `k`, ns; the first epoch is at one interval, since time 0 means: not started."""
+        """Return the time of epoch `k`, ns; the first is at one interval, since time 0 means: not started."""
         return round((k + 1) * self.interval_s * 1e9)
 
 
@@ -116,7 +116,7 @@ def gains(model: LinearModel, epochs: int) -> tuple[Update, ...]:
 
 
 def shifts(updates: Sequence[Update], disturbance: Disturbance) -> tuple[FloatArray, FloatArray]:
-    """Return the means that a disturbance gives: of the innovations (epochs, m) and of the state errors (epochs, n)."""
+    """Return the means that a disturbance gives to innovations (epochs, m) and state errors (epochs, n)."""
     m, n = len(updates[0].keys), len(updates[0].posterior)
     g, e = np.zeros((len(updates), m)), np.zeros((len(updates), n))
     for k, u in enumerate(updates):
@@ -127,15 +127,19 @@ def shifts(updates: Sequence[Update], disturbance: Disturbance) -> tuple[FloatAr
     return g, e
 
 
-def whites(updates: Sequence[Update], rng: np.random.Generator, runs: int, g: FloatArray | None = None) -> FloatArray:
-    """Return drawn whitened innovations ``L^-1 nu`` of many runs, shape (epochs, m, runs), with mean ``L^-1 g``."""
+def whites(
+    updates: Sequence[Update], rng: np.random.Generator, runs: int, g: FloatArray | None = None
+) -> FloatArray:
+    """Return drawn whitened innovations ``L^-1 nu`` of mean ``L^-1 g``, shape (epochs, m, runs)."""
     out = rng.standard_normal((len(updates), len(updates[0].keys), runs))
     if g is not None:
         out += np.stack([np.linalg.solve(u.L, s) for u, s in zip(updates, g, strict=True)])[:, :, None]
     return out
 
 
-def draw(updates: Sequence[Update], white: FloatArray, estimate: FloatArray | None = None) -> tuple[Update, ...]:
+def draw(
+    updates: Sequence[Update], white: FloatArray, estimate: FloatArray | None = None
+) -> tuple[Update, ...]:
     """Return the updates of one run: innovations ``L white`` and the estimates that follow from them.
 
     Parameters
@@ -152,8 +156,12 @@ def draw(updates: Sequence[Update], white: FloatArray, estimate: FloatArray | No
         nu = u.L @ white[k]
         before = u.F @ mean
         mean = before + u.K @ nu + (0.0 if estimate is None else estimate[k])
-        run = replace(u, nu=nu, prior=replace(u.prior, mean=before), posterior=replace(u.posterior, mean=mean))
-        run.__dict__.update({name: u.__dict__[name] for name in ("S", "L", "K", "absorbed") if name in u.__dict__})
+        run = replace(
+            u, nu=nu, prior=replace(u.prior, mean=before), posterior=replace(u.posterior, mean=mean)
+        )
+        run.__dict__.update(
+            {name: u.__dict__[name] for name in ("S", "L", "K", "absorbed") if name in u.__dict__}
+        )
         out.append(run)
     return tuple(out)
 
@@ -180,7 +188,7 @@ def linear_updates(
 def linear_epochs(
     model: LinearModel, epochs: int, rng: np.random.Generator, disturbance: Disturbance | None = None
 ) -> tuple[list[Epoch], FloatArray]:
-    """Return measurements of a drawn truth (sensor ``"linear"``), for a filter of one's own, and the truth (epochs, n)."""
+    """Return measurements of a drawn truth (sensor ``"linear"``) for any filter, and that truth."""
     n, m = len(model.layout), len(model.keys)
     happening = disturbance or Disturbance()
     x = _root(model.P0) @ rng.standard_normal(n)
@@ -214,7 +222,7 @@ def spp_model(
     angles_rad: tuple[FloatArray, FloatArray] | None = None,
     rng: np.random.Generator | None = None,
 ) -> LinearModel:
-    """Return the filter of the literature's SPP simulations: 8 states, one constellation, code and range rate at 1 Hz.
+    """Return the filter of the literature's SPP simulations: 8 states, code and range rate at 1 Hz.
 
     Parameters
     ----------
@@ -248,7 +256,9 @@ def _sky(n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     return np.arcsin(rng.uniform(np.sin(np.deg2rad(10.0)), 1.0, n)), az
 
 
-def _motion(accel_mps2: float, clock_m: float, clock_drift_mps: float, dt: float = 1.0) -> tuple[FloatArray, FloatArray]:
+def _motion(
+    accel_mps2: float, clock_m: float, clock_drift_mps: float, dt: float = 1.0
+) -> tuple[FloatArray, FloatArray]:
     F, Q = np.eye(8), np.zeros((8, 8))
     for level, slope, q in [(i, i + 3, accel_mps2**2) for i in range(3)] + [(6, 7, clock_drift_mps**2)]:
         F[level, slope] = dt
@@ -269,7 +279,7 @@ def receiver_drift_fault(model: LinearModel, drift_mps: FloatArray) -> Disturban
 
 
 def filter_drift_fault(model: LinearModel, drift_mps: FloatArray) -> Disturbance:
-    """Return the fault of a filter to whose drift estimate `drift_mps` (epochs,), m/s, is added after every update."""
+    """Return the fault of a filter to whose drift estimate `drift_mps` (epochs,) is added at every update."""
     estimate = np.zeros((len(drift_mps), len(model.layout)))
     estimate[:, model.layout.index["drift"]] = drift_mps
     return Disturbance(estimate=estimate)

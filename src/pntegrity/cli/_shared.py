@@ -1,0 +1,99 @@
+"""What the commands share: progress on a terminal, silence in a pipe, and the options that make a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from pntegrity.config import RunConfig
+
+Command = Callable[..., Any]
+
+INPUT = [
+    click.option("--obs", type=click.Path(path_type=Path), help="RINEX 2/3/4 observation file (.gz and CRINEX too)."),
+    click.option("--nav", type=click.Path(path_type=Path), multiple=True, help="RINEX navigation file; repeatable."),
+    click.option("--config", type=click.Path(path_type=Path), help="TOML file with any of these options; options win."),
+    click.option("--estimator", type=click.Choice(["spp", "spp_kf"]), help="Snapshot or Kalman filter.  [spp_kf]"),
+    click.option("--mask-deg", type=float, help="Elevation mask, degrees.  [10]"),
+    click.option("--systems", help="Constellations: G GPS, R GLONASS, E Galileo, C BDS, J QZSS.  [GREC]"),
+    click.option("--ionosphere-free/--single-frequency", default=None, help="Combine two frequencies.  [single]"),
+    click.option("--doppler/--no-doppler", default=None, help="Use range rates where present.  [yes]"),
+    click.option("--noise", type=click.Path(path_type=Path), help="Noise model written by `pntegrity calibrate`."),
+    click.option("--start", help="First epoch: seconds from the start, or GPS time like 2019-01-14T06:20:00."),
+    click.option("--end", help="Last epoch."),
+]
+MONITORING = [
+    click.option("--monitors", help="Comma-separated: rctm,srctm,aime,sraime,glr.  [all]"),
+    click.option("--variant", type=click.Choice(["exact", "published"]), help="Exact covariances, or the papers'.  [exact]"),
+    click.option("--p-fa", type=float, help="Probability of a false alarm of each monitor, an epoch.  [1e-6]"),
+    click.option("--exclude/--no-exclude", default=None, help="Leave suspects out, repair, re-admit.  [yes]"),
+    click.option("--truth-ecef", help="True position X,Y,Z of a static receiver, metres."),
+    click.option("--truth", type=click.Path(path_type=Path), help="True positions: CSV or RTKLIB .pos."),
+    click.option("--fault", "faults", multiple=True, help='Inject a fault, "G05 ramp 0.1 m/s 200:300"; repeatable.'),
+]
+
+
+def options(*groups: list[Command]) -> Command:
+    """Return a decorator that adds groups of options in order."""
+
+    def decorate(command: Command) -> Command:
+        for option in reversed([o for group in groups for o in group]):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+def build_config(values: dict[str, Any]) -> RunConfig:
+    """Return the checked configuration of options and of the file that they name; options win."""
+    from pntegrity.config import load_toml, make_config, read_noise
+    from pntegrity.errors import InputError
+
+    given = {k: v for k, v in values.items() if v is not None and v != ()}
+    config = given.pop("config", None)
+    merged: dict[str, Any] = load_toml(config) if config else {}
+    if "noise" in given:
+        given["noise"] = read_noise(given["noise"])
+    if "monitors" in given:
+        given["monitors"] = tuple(n.strip() for n in given["monitors"].split(",") if n.strip())
+    if "truth_ecef" in given:
+        given["truth_ecef_m"] = _triple(given.pop("truth_ecef"))
+    merged |= given
+    for name in ("obs", "nav"):
+        if not merged.get(name):
+            raise InputError(f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config")
+    return make_config(merged)
+
+
+def _triple(text: str) -> tuple[float, ...]:
+    from pntegrity.errors import InputError
+
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3:
+        raise InputError(f"--truth-ecef {text!r} is not three numbers X,Y,Z in metres")
+    return values
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """Yield a reporter of (stage, done, total): a bar on a terminal, nothing in a pipe."""
+    import sys
+
+    if not sys.stderr.isatty():
+        yield lambda stage, done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda stage, done, total: bar.update(task, description=stage, completed=done, total=total)

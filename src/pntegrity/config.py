@@ -1,0 +1,171 @@
+"""The configuration of a run: what the command line's options and ``--config run.toml`` hold, checked in one place."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from pntegrity.errors import InputError
+from pntegrity.monitors import discover
+from pntegrity.sensors.noise import NoiseModel
+
+__all__ = ["RunConfig", "load_toml", "read_noise", "to_toml", "write_noise"]
+
+DEFAULT_MONITORS = ("rctm", "srctm", "aime", "sraime", "glr")
+
+
+class RunConfig(BaseModel):
+    """Everything that decides what a run computes.
+
+    Files are as given on the command line; `faults` are in the grammar of ``simulate.faults``; `noise` is a table of
+    fields of `NoiseModel`, or a file that ``calibrate`` wrote. `monitor` holds options of single monitors, for instance
+    ``[monitor.aime] window = 10``.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    obs: Path
+    nav: tuple[Path, ...]
+    estimator: Literal["spp", "spp_kf"] = "spp_kf"
+    monitors: tuple[str, ...] = DEFAULT_MONITORS
+    variant: Literal["exact", "published"] = "exact"
+    p_fa: float = Field(1e-6, gt=0.0, lt=0.5)
+    exclude: bool = True
+    mask_deg: float = Field(10.0, ge=0.0, lt=90.0)
+    systems: str = Field("GREC", min_length=1, pattern="^[GRECJ]+$")
+    doppler: bool = True
+    ionosphere_free: bool = False
+    truth_ecef_m: tuple[float, float, float] | None = None
+    truth: Path | None = None
+    faults: tuple[str, ...] = ()
+    start: str | None = None
+    end: str | None = None
+    noise: dict[str, Any] = Field(default_factory=dict)
+    monitor: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @field_validator("monitors")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        if not names:
+            raise ValueError(f"name at least one monitor of {', '.join(sorted(discover()))}")
+        for name in names:
+            if name not in discover():
+                raise ValueError(f"no monitor is called {name!r}; there are {', '.join(sorted(discover()))}")
+        return tuple(dict.fromkeys(names))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RunConfig:
+        if self.truth is not None and self.truth_ecef_m is not None:
+            raise ValueError("give `truth` or `truth_ecef_m`, not both")
+        self.noise_model()
+        self.build_monitors()
+        return self
+
+    def noise_model(self) -> NoiseModel:
+        """Return the noise model."""
+        values = dict(self.noise)
+        factors = tuple(sorted((str(k), float(v)) for k, v in dict(values.pop("factors", {})).items()))
+        unknown = set(values) - set(NoiseModel.__dataclass_fields__)
+        if unknown:
+            raise ValueError(f"noise model: unknown field {sorted(unknown)[0]!r}")
+        return NoiseModel(**values, factors=factors)
+
+    def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
+        """Return the monitors, each with its calibrated threshold factor and its own options."""
+        model = noise or self.noise_model()
+        return tuple(make_monitor(n, p_fa or self.p_fa, self.variant, model, self.monitor.get(n, {})) for n in self.monitors)
+
+
+def make_monitor(
+    name: str, p_fa: float, variant: str = "exact", noise: NoiseModel | None = None, options: dict[str, Any] | None = None
+) -> Any:
+    """Return one monitor; a monitor that has no published variant stays exact.
+
+    Raises
+    ------
+    ValueError
+        Where an option is unknown or out of range.
+    """
+    cls = discover()[name]
+    values: dict[str, Any] = {"p_fa": p_fa, "factor": (noise or NoiseModel()).factor(name)}
+    if "published" in str(cls.__annotations__.get("variant", "")):
+        values["variant"] = variant
+    try:
+        return cls(**(values | (options or {})))
+    except TypeError as error:
+        raise ValueError(f"monitor {name}: {error}") from None
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """Return the tables of a TOML file.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"is not TOML: {error}", path=path, hint="See the example in the README") from error
+
+
+def make_config(values: dict[str, Any]) -> RunConfig:
+    """Return a checked configuration.
+
+    Raises
+    ------
+    InputError
+        Naming the field, the value and what is allowed.
+    """
+    try:
+        return RunConfig(**values)
+    except ValidationError as error:
+        lines = [f"{'.'.join(str(p) for p in e['loc']) or 'options'}: {e['msg']}" for e in error.errors()]
+        raise InputError("; ".join(lines), hint="`pntegrity run --help` lists the options") from None
+
+
+def read_noise(path: Path) -> dict[str, Any]:
+    """Return the noise table of a file that ``calibrate`` wrote."""
+    tables = load_toml(path)
+    if "noise" not in tables:
+        raise InputError("has no [noise] table", path=path, hint="Write one with `pntegrity calibrate`")
+    return dict(tables["noise"])
+
+
+def write_noise(noise: NoiseModel, facts: dict[str, Any]) -> str:
+    """Return the text of a noise file: the model as ``[noise]`` and how it was found as ``[calibration]``."""
+    values = {n: getattr(noise, n) for n in NoiseModel.__dataclass_fields__ if n != "factors"}
+    return to_toml({"noise": values | {"factors": dict(noise.factors)}, "calibration": facts})
+
+
+def to_toml(tables: dict[str, Any], prefix: str = "") -> str:
+    """Return nested tables of plain values as TOML; None is left out."""
+    plain = {k: v for k, v in tables.items() if v is not None and not isinstance(v, dict)}
+    nested = {k: v for k, v in tables.items() if isinstance(v, dict)}
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in plain.items()]
+    text = "\n".join(lines) + ("\n" if lines else "")
+    for k, v in nested.items():
+        name = f"{prefix}{_key(k)}"
+        text += f"\n[{name}]\n{to_toml(v, name + '.')}"
+    return text
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isalnum() else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    return json.dumps(str(value))

@@ -1,0 +1,243 @@
+"""What happened, in words: consecutive epochs merged into sentences that a person can act on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Literal
+
+import numpy as np
+
+from pntegrity.exclusion import Exclusion
+from pntegrity.physics.time import DAY_NS, to_iso
+from pntegrity.pipeline import Outcome
+from pntegrity.report.facts import RunFacts
+from pntegrity.report.tables import groups_in
+
+__all__ = ["Absence", "Sentence", "absences", "clock_time", "names", "span_text", "story"]
+
+Kind = Literal["start", "event", "excluded", "alert", "unavailable", "gap", "end"]
+OFTEN = 3
+"""A group excluded more often than this gets one sentence for all its exclusions."""
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """One thing that happened: when, of which kind, and in words (the time included)."""
+
+    start_ns: int
+    end_ns: int
+    kind: Kind
+    text: str
+
+
+@dataclass(frozen=True)
+class Absence:
+    """A group that was left out: from outcome `start` until before outcome `stop`.
+
+    `back` tells that it proved itself, was forgotten or that the filter began anew before the end.
+    """
+
+    group: str
+    exclusion: Exclusion
+    start: int
+    stop: int
+    back: bool
+
+
+def story(outcomes: Sequence[Outcome], facts: RunFacts) -> tuple[Sentence, ...]:
+    """Return what happened, in order of time: starts, exclusions, alerts, untested stretches, gaps."""
+    if not outcomes:
+        return (Sentence(0, 0, "end", "No epoch was processed."),)
+    date = outcomes[-1].t_ns // DAY_NS != outcomes[0].t_ns // DAY_NS
+    found = [
+        *_starts(outcomes, date),
+        *_excluded(outcomes, date),
+        *_stretches(outcomes, date),
+        *_gaps(outcomes, date),
+    ]
+    found.sort(key=lambda s: (s.start_ns, s.end_ns))
+    return (*found, *_end(outcomes, facts, date))
+
+
+def clock_time(t_ns: int, date: bool = False) -> str:
+    """Return the time of day (GPS time), to 0.1 s where it has decimals; `date` puts the date in front."""
+    tenth = 100_000_000
+    text = to_iso((t_ns + tenth // 2) // tenth * tenth)
+    return text.replace("T", " ") if date else text[11:]
+
+
+def span_text(start_ns: int, end_ns: int, date: bool = False) -> str:
+    """Return ``06:22:10-06:24:31``, or one time where both are the same."""
+    start, end = clock_time(start_ns, date), clock_time(end_ns, date)
+    return start if start == end else f"{start}-{end}"
+
+
+def names(groups: Sequence[str], most: int = 6) -> str:
+    """Return ``G05, G07 and E11``; a long list is cut, with its length."""
+    groups = list(dict.fromkeys(groups))
+    if len(groups) > most:
+        return f"{', '.join(groups[: most - 1])} and {len(groups) - most + 1} more"
+    return " and ".join(filter(None, [", ".join(groups[:-1]), groups[-1]])) if groups else "none"
+
+
+def absences(outcomes: Sequence[Outcome]) -> list[Absence]:
+    """Return who was left out from when to when, in order of exclusion."""
+    out: list[Absence] = []
+    standing: dict[str, tuple[Exclusion, int]] = {}
+    for i, o in enumerate(outcomes):
+        used = groups_in(o.update.keys) if standing else ()
+        for group in [g for g in standing if g in used]:
+            out.append(Absence(group, *standing.pop(group), i, True))
+        for e in o.exclusions:
+            standing.setdefault(e.group, (e, i))
+        for group in o.readmitted:
+            if group in standing:
+                out.append(Absence(group, *standing.pop(group), i + 1, True))
+    out += [Absence(g, e, i, len(outcomes), False) for g, (e, i) in standing.items()]
+    return sorted(out, key=lambda a: (a.start, a.stop, a.group))
+
+
+# --- the kinds of sentences -------------------------------------------------------------------------------
+
+
+def _satellites(o: Outcome) -> int:
+    return len(groups_in(o.update.keys))
+
+
+def _starts(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
+    for o in outcomes:
+        u = o.update
+        if not u.events or not u.keys:
+            continue
+        words = "; ".join(e for e in u.events if e != "start")
+        if "start" in u.events:
+            untested = [v.monitor.upper() for v in o.verdicts if v.status == "unavailable"]
+            test = (
+                "no test possible"
+                if len(untested) == len(o.verdicts)
+                else f"no test yet by {names(untested)}"
+            )
+            words = f"filter started from {_satellites(o)} satellites" + (f" ({words})" if words else "")
+            words += f"; {test}" if untested else ""
+        yield Sentence(
+            o.t_ns,
+            o.t_ns,
+            "start" if "start" in u.events else "event",
+            f"{clock_time(o.t_ns, date)}: {words}.",
+        )
+
+
+def _excluded(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
+    gone = absences(outcomes)
+    often = {g for g, n in Counter(a.group for a in gone).items() if n > OFTEN}
+    for group in sorted(often):
+        yield _repeated([a for a in gone if a.group == group], outcomes, date)
+    rest = [a for a in gone if a.group not in often]
+    for _, same in groupby(rest, key=lambda a: (a.start, a.stop)):
+        yield _absent(list(same), outcomes, date)
+
+
+def _absent(together: list[Absence], outcomes: Sequence[Outcome], date: bool) -> Sentence:
+    a = together[0]
+    o = outcomes[a.start]
+    last = outcomes[a.stop - 1].t_ns
+    causes = groupby(together, key=lambda x: _cause(x.exclusion, date, o.t_ns))
+    grouped = [(names([x.group for x in xs]), cause) for cause, xs in causes]
+    who = names([f"{g} ({cause})" for g, cause in grouped]) + " excluded"
+    if len(grouped) == 1:
+        who = f"{grouped[0][0]} excluded ({grouped[0][1]})"
+    text = f"{span_text(o.t_ns, last, date)}: {who}; {_effect(o)}"
+    if any(x.exclusion.ambiguous for x in together):
+        text += (
+            f"; {o.reason}"
+            if o.reason.startswith("ambiguous")
+            else "; ambiguous: others would explain the data as well"
+        )
+    text += "; readmitted." if a.back else "; still excluded at the end."
+    return Sentence(o.t_ns, last, "excluded", text)
+
+
+def _cause(e: Exclusion, date: bool, now_ns: int) -> str:
+    test = "epoch test" if e.monitor == "subset" else e.monitor.upper()
+    size = f"ramp {e.size:.2f} m/s" if e.kind == "ramp" else f"{e.kind} {e.size:.1f} m"
+    since = f" since {clock_time(e.onset_ns, date)}" if e.onset_ns != now_ns else ""
+    return f"{test}: {size}{since}"
+
+
+def _effect(o: Outcome) -> str:
+    repaired = f"filter run again over the last {o.rewound} epochs, " if o.rewound else ""
+    kept = (
+        "position kept"
+        if o.status == "ok"
+        else "alert not resolved"
+        if o.status == "alert"
+        else "no test left"
+    )
+    return f"{repaired}{kept}, {_satellites(o)} satellites left"
+
+
+def _repeated(gone: list[Absence], outcomes: Sequence[Outcome], date: bool) -> Sentence:
+    first, last = outcomes[gone[0].start].t_ns, outcomes[gone[-1].stop - 1].t_ns
+    share = sum(a.stop - a.start for a in gone) / len(outcomes)
+    tests = names(
+        sorted(
+            {"epoch test" if a.exclusion.monitor == "subset" else a.exclusion.monitor.upper() for a in gone}
+        )
+    )
+    who = f"{gone[0].group} excluded {len(gone)} times by {tests}, {100 * share:.0f} % of the run"
+    text = f"{span_text(first, last, date)}: {who}"
+    return Sentence(
+        first, last, "excluded", text + ("." if gone[-1].back else "; still excluded at the end.")
+    )
+
+
+def _stretches(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
+    """Yield unresolved alerts and unavailable stretches."""
+    for status, run in groupby(outcomes, key=lambda o: o.status):
+        if status == "ok":
+            continue
+        stretch = list(run)
+        when = span_text(stretch[0].t_ns, stretch[-1].t_ns, date)
+        if status == "alert":
+            text = f"{when}: {_alarm(stretch)}. Do not use the position."
+        else:
+            text = f"{when}: no test possible ({_common_reason(stretch)})."
+        yield Sentence(stretch[0].t_ns, stretch[-1].t_ns, status, text)
+
+
+def _alarm(stretch: list[Outcome]) -> str:
+    monitors = sorted({v.monitor.upper() for o in stretch for v in o.verdicts if v.status == "alert"})
+    reasons = Counter(o.reason for o in stretch if o.reason).most_common(2)
+    blamed = Counter(
+        "+".join(v.suspect_groups) for o in stretch for v in o.verdicts if v.status == "alert" and v.suspects
+    )
+    who = f", most often suspecting {blamed.most_common(1)[0][0]}" if blamed else ""
+    why = f" ({'; '.join(r for r, _ in reasons)})" if reasons else ""
+    return (f"unresolved alarm of {names(monitors)}" if monitors else "unresolved alert") + who + why
+
+
+def _common_reason(stretch: list[Outcome]) -> str:
+    reasons = Counter(r for o in stretch for r in [o.reason, *(v.reason for v in o.verdicts)] if r)
+    return reasons.most_common(1)[0][0] if reasons else "no reason given"
+
+
+def _gaps(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
+    t = np.array([o.t_ns for o in outcomes], dtype=np.int64)
+    step = np.diff(t)
+    usual = int(np.median(step)) if len(step) else 0
+    for i in np.flatnonzero(step > 1.5 * usual) if usual else []:
+        a, b = int(t[i]), int(t[i + 1])
+        yield Sentence(a, b, "gap", f"{span_text(a, b, date)}: no data for {(b - a) * 1e-9:.0f} s.")
+
+
+def _end(outcomes: Sequence[Outcome], facts: RunFacts, date: bool) -> Iterator[Sentence]:
+    t = outcomes[-1].t_ns
+    if facts.interrupted:
+        said = f"interrupted here; the {len(outcomes)} epochs done so far are kept"
+        yield Sentence(t, t, "end", f"{clock_time(t, date)}: {said}.")
+    elif all(o.status == "ok" for o in outcomes) and not any(o.exclusions for o in outcomes):
+        said = f"{len(outcomes)} epochs, no alarm, nothing excluded"
+        yield Sentence(outcomes[0].t_ns, t, "end", f"{span_text(outcomes[0].t_ns, t, date)}: {said}.")

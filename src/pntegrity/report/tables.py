@@ -1,0 +1,227 @@
+"""Outcomes as tables (polars): the solution, what the monitors said, what was excluded.
+
+A table tells what was known at the time: an epoch that a later repair went over keeps the row it had. Where a
+number is not known there is a null, never a nan. Time is ``t_ns`` (ns of GPS time) and ``time_gps`` (the
+same, ISO format).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+
+from pntegrity.kernels.signatures import family_of
+from pntegrity.physics.frames import ecef_to_geodetic
+from pntegrity.physics.time import to_iso
+from pntegrity.pipeline import Outcome
+from pntegrity.records import FloatArray, Suspect, Verdict, group_of
+from pntegrity.report.facts import RunFacts
+
+__all__ = ["exclusions", "family_counts", "groups_in", "rotations", "solution", "suspect_text", "verdicts"]
+
+#: Closer to the Earth's centre than this a state called "pos" is not Earth-fixed, m.
+EARTH_FIXED_M = 6.2e6
+XYZ, ENU = ("x", "y", "z"), ("e", "n", "u")
+
+
+@lru_cache(maxsize=4096)
+def groups_in(keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the groups of some rows, each once, in order."""
+    return tuple(dict.fromkeys(map(group_of, keys)))
+
+
+@lru_cache(maxsize=4096)
+def family_counts(keys: tuple[str, ...]) -> Counter[str]:
+    """Return how many groups of each family (constellation) some rows belong to."""
+    return Counter(map(family_of, groups_in(keys)))
+
+
+def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
+    """Return one row an epoch: status, position, velocity, clocks, uncertainty, error where truth is known.
+
+    ``sigma_e_m``, ... are the filter's own standard deviations; ``error_h_m`` is the horizontal error;
+    ``clk_m`` the clock of the constellation ``clk_system``, ``isb_<X>_m`` what constellation X differs from
+    it.
+    """
+    position, P = _positions(outcomes)
+    llh = _geodetic(position)
+    to_enu = rotations(llh)
+    sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", to_enu, P, to_enu), 0.0))
+    truth = facts.truth(len(outcomes))
+    error = np.einsum("nij,nj->ni", rotations(_geodetic(truth)), position - truth)
+    updates = [o.update for o in outcomes]
+    columns: dict[str, Any] = {
+        **_time(outcomes),
+        "status": pl.Series([o.status for o in outcomes], dtype=pl.String),
+        **{f"{a}_m": _column(position[:, i]) for i, a in enumerate(XYZ)},
+        "lat_deg": _column(np.degrees(llh[:, 0])),
+        "lon_deg": _column(np.degrees(llh[:, 1])),
+        "height_m": _column(llh[:, 2]),
+        **{f"v{a}_mps": _column(_state(outcomes, f"vel:{a}")) for a in XYZ},
+        **{f"sigma_{a}_m": _column(sigma[:, i]) for i, a in enumerate(ENU)},
+        **_clocks(outcomes),
+        "n_rows": pl.Series([len(u.keys) for u in updates], dtype=pl.Int32),
+        "n_satellites": pl.Series([len(groups_in(u.keys)) for u in updates], dtype=pl.Int32),
+        "excluded": pl.Series([",".join(u.excluded) for u in updates], dtype=pl.String),
+        **{f"error_{a}_m": _column(error[:, i]) for i, a in enumerate(ENU)},
+        "error_h_m": _column(np.hypot(error[:, 0], error[:, 1])),
+        "reason": pl.Series([o.reason for o in outcomes], dtype=pl.String),
+    }
+    return pl.DataFrame(columns)
+
+
+def _column(values: FloatArray) -> pl.Series:
+    return pl.Series(np.where(np.isfinite(values), values, np.nan), dtype=pl.Float64).fill_nan(None)
+
+
+def _time(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
+    return {
+        "t_ns": pl.Series([o.t_ns for o in outcomes], dtype=pl.Int64),
+        "time_gps": pl.Series([to_iso(o.t_ns) for o in outcomes], dtype=pl.String),
+    }
+
+
+def _positions(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
+    """Return positions (n, 3) and their covariances (n, 3, 3), nan where there is no position."""
+    position, P = np.full((len(outcomes), 3), np.nan), np.full((len(outcomes), 3, 3), np.nan)
+    for i, o in enumerate(outcomes):
+        mean, covariance = o.update.posterior.block("pos")
+        if len(mean) == 3:
+            position[i], P[i] = mean, covariance
+    return position, P
+
+
+def _geodetic(position_m: FloatArray) -> FloatArray:
+    far = np.linalg.norm(position_m, axis=1) > EARTH_FIXED_M
+    return ecef_to_geodetic(np.where(far[:, None], position_m, np.nan))
+
+
+def rotations(llh: FloatArray) -> FloatArray:
+    """Return the matrices (n, 3, 3) from ECEF differences to east, north, up at geodetic positions (n, 3)."""
+    (sp, cp), (sl, cl) = (np.sin(llh[:, 0]), np.cos(llh[:, 0])), (np.sin(llh[:, 1]), np.cos(llh[:, 1]))
+    rows = [[-sl, cl, 0.0 * sl], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _state(outcomes: Sequence[Outcome], name: str) -> FloatArray:
+    """Return one scalar of the posterior at every epoch, nan where there is none."""
+    states = [o.update.posterior for o in outcomes]
+    at = [s.layout.index.get(name, -1) for s in states]
+    return np.array(
+        [s.mean[i] if i >= 0 else np.nan for s, i in zip(states, at, strict=True)], dtype=np.float64
+    )
+
+
+def _clocks(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
+    layouts = dict.fromkeys(o.update.posterior.layout for o in outcomes)
+    names = dict.fromkeys(
+        n for layout in layouts for n in layout.names if n.partition(":")[0] in ("clk", "isb", "drift")
+    )
+    reference = [n for n in names if n.startswith("clk")]
+    values = np.array([_state(outcomes, n) for n in reference]).reshape(len(reference), len(outcomes))
+    which = (
+        np.where(np.isfinite(values).any(axis=0), np.isfinite(values).argmax(axis=0), -1) if reference else []
+    )
+    out = {
+        "clk_m": _column(
+            np.array([values[w, i] if w >= 0 else np.nan for i, w in enumerate(which)], dtype=np.float64)
+        ),
+        "clk_system": pl.Series(
+            [reference[w].partition(":")[2] if w >= 0 else None for w in which], dtype=pl.String
+        ),
+    }
+    if not reference:
+        none = len(outcomes)
+        out = {
+            "clk_m": pl.Series([None] * none, dtype=pl.Float64),
+            "clk_system": pl.Series([None] * none, dtype=pl.String),
+        }
+    out["drift_mps"] = _column(_state(outcomes, "drift"))
+    return out | {
+        f"isb_{n[4:]}_m": _column(_state(outcomes, n)) for n in sorted(names) if n.startswith("isb:")
+    }
+
+
+def suspect_text(s: Suspect) -> str:
+    """Say who may be at fault and how: ``G05 ramp 0.10/s since 06:20:01 (explains 45.2)``."""
+    rate = "/s" if s.kind == "ramp" else ""
+    size = f"{s.size:.2f}{rate} since {to_iso(s.onset_ns)[11:]}"
+    return f"{'+'.join(s.groups)} {s.kind} {size} (explains {s.statistic:.1f})"
+
+
+def verdicts(outcomes: Sequence[Outcome]) -> pl.DataFrame:
+    """Return one row an epoch and monitor, and the first look (`final` false) where exclusion changed it.
+
+    `statistic` and `threshold` are null where no test was made; `suspects` in words, the most likely first.
+    """
+    rows: list[tuple[Verdict, bool]] = []
+    for o in outcomes:
+        for first, last in zip(o.first, o.verdicts, strict=True):
+            if first != last:
+                rows.append((first, False))
+            rows.append((last, True))
+    tested = np.array([v.status != "unavailable" for v, _ in rows], dtype=bool)
+
+    def number(name: str) -> pl.Series:
+        values = np.array([getattr(v, name) for v, _ in rows], dtype=np.float64)
+        return _column(np.where(tested, values, np.nan))
+
+    def text(name: str) -> pl.Series:
+        return pl.Series([getattr(v, name) for v, _ in rows], dtype=pl.String)
+
+    stamps = {t: to_iso(t) for t in {v.t_ns for v, _ in rows}}
+    return pl.DataFrame(
+        {
+            "t_ns": pl.Series([v.t_ns for v, _ in rows], dtype=pl.Int64),
+            "time_gps": pl.Series([stamps[v.t_ns] for v, _ in rows], dtype=pl.String),
+            **{n: text(n) for n in ("monitor", "variant", "status")},
+            **{n: number(n) for n in ("statistic", "threshold", "p_fa")},
+            "dof": pl.Series([v.dof for v, _ in rows], dtype=pl.Int32),
+            "suspects": pl.Series(
+                ["; ".join(map(suspect_text, v.suspects)) for v, _ in rows], dtype=pl.String
+            ),
+            "ambiguous": pl.Series([v.ambiguous for v, _ in rows], dtype=pl.Boolean),
+            "reason": text("reason"),
+            "final": pl.Series([final for _, final in rows], dtype=pl.Boolean),
+        }
+    )
+
+
+def exclusions(outcomes: Sequence[Outcome]) -> pl.DataFrame:
+    """Return one row an exclusion: when, who, by which test, how large, since when, and when it came back.
+
+    `estimated_bias` is the size at the time of exclusion and `estimated_rate` its growth per second (ramps),
+    both in units of the row that carries the fault (m for ranges). `readmitted_gps` is null where the group
+    did not come back.
+    """
+    made = [(e, _back_ns(outcomes, i, e.group)) for i, o in enumerate(outcomes) for e in o.exclusions]
+    ramps: npt.NDArray[np.bool_] = np.array([e.kind == "ramp" for e, _ in made], dtype=bool)
+    size = np.array([e.size for e, _ in made], dtype=np.float64)
+    age = np.array([(e.t_ns - e.onset_ns) * 1e-9 for e, _ in made], dtype=np.float64)
+    return pl.DataFrame(
+        {
+            "t_ns": pl.Series([e.t_ns for e, _ in made], dtype=pl.Int64),
+            "time_gps": pl.Series([to_iso(e.t_ns) for e, _ in made], dtype=pl.String),
+            "key": pl.Series([e.group for e, _ in made], dtype=pl.String),
+            "monitor": pl.Series([e.monitor for e, _ in made], dtype=pl.String),
+            "statistic": _column(np.array([e.statistic for e, _ in made], dtype=np.float64)),
+            "estimated_bias": _column(np.where(ramps, size * age, size)),
+            "estimated_rate": _column(np.where(ramps, size, np.nan)),
+            "kind": pl.Series([e.kind for e, _ in made], dtype=pl.String),
+            "onset_gps": pl.Series([to_iso(e.onset_ns) for e, _ in made], dtype=pl.String),
+            "ambiguous": pl.Series([e.ambiguous for e, _ in made], dtype=pl.Boolean),
+            "readmitted_gps": pl.Series([None if t is None else to_iso(t) for _, t in made], dtype=pl.String),
+        }
+    )
+
+
+def _back_ns(outcomes: Sequence[Outcome], i: int, group: str) -> int | None:
+    """Return when a group excluded at outcome `i` came back: readmitted, or used after a new start."""
+    later = (o for o in outcomes[i + 1 :] if group in o.readmitted or group in groups_in(o.update.keys))
+    return next((o.t_ns for o in later), None)

@@ -1,0 +1,90 @@
+"""The run in a terminal: a short table and the story's first lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pntegrity.pipeline import Outcome
+from pntegrity.report.facts import RunFacts
+from pntegrity.report.story import story
+from pntegrity.report.summary import headline, summary
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table
+
+__all__ = ["verdict_table"]
+
+LINES = 8
+"""How many sentences of the story are shown."""
+TONES = {"ok": "green", "alert": "red", "unavailable": "yellow"}
+
+
+def verdict_table(
+    outcomes: Sequence[Outcome], facts: RunFacts, numbers: Mapping[str, Any] | None = None
+) -> RenderableType:
+    """Return what ``rich`` prints after a run: the verdict, a line a monitor, the figures, what happened.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    facts : RunFacts
+    numbers : mapping, optional
+        What `summary` gives, where it is at hand.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    numbers = summary(outcomes, facts) if numbers is None else numbers
+    title, detail, tone = headline(numbers)
+    parts: list[RenderableType] = [Text(title, style=f"bold {TONES[tone]}"), Text(detail), Text()]
+    if numbers["monitors"]:
+        parts += [_monitors(numbers), Text()]
+    parts += [Text(line) for line in _figures(numbers)]
+    told = story(outcomes, facts)
+    parts += [Text(), *(Text(s.text, style=TONES.get(s.kind, "")) for s in told[:LINES])]
+    if len(told) > LINES:
+        parts.append(Text(f"... and {len(told) - LINES} more in the report", style="dim"))
+    return Group(*parts)
+
+
+def _monitors(numbers: Mapping[str, Any]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for name, justify in (("monitor", "left"), ("variant", "left"), ("P_FA", "right"), ("tests", "right")):
+        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    for name in ("alarms, first look", "after exclusion", "worst ratio"):
+        table.add_column(name, justify="right")
+    for m in numbers["monitors"]:
+        first, last = m["first"], m["final"]
+        worst = "-" if last["worst_ratio"] is None else f"{last['worst_ratio']:.3g}"
+        cells = [
+            m["monitor"],
+            m["variant"],
+            f"{m['p_fa']:.0e}",
+            str(last["tests"]),
+            str(first["alarms"]),
+            str(last["alarms"]),
+            worst,
+        ]
+        table.add_row(*map(Text, cells), style="red" if last["alarms"] else "")
+    return table
+
+
+def _figures(numbers: Mapping[str, Any]) -> list[str]:
+    share = numbers["availability"]
+    said = ", ".join(
+        f"{s} {share[s]['epochs']} ({100 * share[s]['share']:.1f} %)" for s in ("ok", "alert", "unavailable")
+    )
+    keys = sorted({e["key"] for e in numbers["exclusions"]})
+    made = f" ({len(numbers['exclusions'])} exclusions, {numbers['readmissions']} readmitted)" if keys else ""
+    lines = [f"epochs      {numbers['epochs']}: {said}", f"excluded    {', '.join(keys) or 'none'}{made}"]
+    p = numbers["position"]
+    if p:
+        rms = f"RMS {p['h']['rms_m']:.2f} m horizontal, {p['u']['rms_m']:.2f} m up"
+        lines.append(f"position    {rms} (95 %: {p['h']['p95_m']:.2f} and {p['u']['p95_m']:.2f} m)")
+    return lines

@@ -1,0 +1,78 @@
+"""All result files of a run, each whole or not there at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pntegrity.errors import InputError
+from pntegrity.formats.update_record import Entry, atomically, write_record
+from pntegrity.pipeline import Outcome
+from pntegrity.report.facts import RunFacts
+from pntegrity.report.html import page
+from pntegrity.report.summary import summary
+from pntegrity.report.tables import exclusions, solution, verdicts
+
+__all__ = ["entries", "write_results"]
+
+
+def entries(outcomes: Sequence[Outcome]) -> list[Entry]:
+    """Return the updates in committed order, the first of an outcome with how many earlier it replaces."""
+    return [(u, 0 if i else o.rewound) for o in outcomes for i, u in enumerate(o.updates)]
+
+
+def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts) -> dict[str, Path]:
+    """Write the results of a run, finished or interrupted, into a folder; it is made where it is missing.
+
+    Parameters
+    ----------
+    out : Path or str
+        Folder.
+    outcomes : sequence of Outcome
+        May be empty.
+    facts : RunFacts
+
+    Returns
+    -------
+    dict
+        Path of each file: ``solution`` and ``verdicts`` (parquet), ``exclusions`` (csv), ``updates`` (npz),
+        ``summary`` (json), ``report`` (html).
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be made or written. A file that was there before is then as it was.
+    """
+    folder = _folder(Path(out))
+    table = solution(outcomes, facts)
+    numbers = summary(outcomes, facts, table)
+    about = {"estimator": facts.estimator, "noise_model": facts.noise_name, "config": dict(facts.config)}
+    writers: dict[str, tuple[str, Callable[[Path], object]]] = {
+        "solution": ("solution.parquet", table.write_parquet),
+        "verdicts": ("verdicts.parquet", verdicts(outcomes).write_parquet),
+        "exclusions": ("exclusions.csv", exclusions(outcomes).write_csv),
+        "updates": ("updates.npz", lambda p: write_record(p, entries(outcomes), about)),
+        "summary": (
+            "summary.json",
+            lambda p: p.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n", "utf-8"),
+        ),
+        "report": ("report.html", lambda p: p.write_text(page(outcomes, facts, numbers, table), "utf-8")),
+    }
+    paths = {}
+    for name, (file, write) in writers.items():
+        paths[name] = folder / file
+        with atomically(paths[name]) as temporary:
+            write(temporary)
+    return paths
+
+
+def _folder(out: Path) -> Path:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "there is a file of that name" if out.exists() else error.strerror or str(error)
+        raise InputError(
+            f"the folder cannot be made: {why}", path=out, hint="Choose another with --out"
+        ) from error
+    return out

@@ -1,0 +1,160 @@
+"""The main job: files in, outcomes out. What the command line calls, and what a script can call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pntegrity.config import RunConfig
+from pntegrity.errors import InputError
+from pntegrity.estimators._gnss import GnssOptions
+from pntegrity.estimators.spp import Spp
+from pntegrity.estimators.spp_kf import SppKf
+from pntegrity.exclusion import Policy
+from pntegrity.formats.rinex_nav import read_navigation
+from pntegrity.formats.rinex_obs import SignalTable, read_observations
+from pntegrity.formats.truth import read_truth
+from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
+from pntegrity.physics.time import from_iso, to_iso
+from pntegrity.pipeline import Outcome, Pipeline
+from pntegrity.records import Epoch, FloatArray
+from pntegrity.report.facts import RunFacts
+from pntegrity.sensors.noise import NoiseModel
+from pntegrity.simulate.faults import apply_faults, describe, parse_fault
+
+__all__ = ["RunResult", "load_epochs", "run"]
+
+ESTIMATORS = {"spp": Spp, "spp_kf": SppKf}
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """The outcomes of a run, and what a reader of them needs to know."""
+
+    outcomes: tuple[Outcome, ...]
+    facts: RunFacts
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Report nothing."""
+
+
+def load_epochs(config: RunConfig) -> GnssEpochs:
+    """Read the log and the ephemerides, cut the time span, inject the faults.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what to do.
+    """
+    table = read_observations(config.obs)
+    start_ns, end_ns = _time(config.start, table), _time(config.end, table)
+    loaded = gnss_epochs(
+        table, read_navigation(config.nav), systems=config.systems, ionosphere_free=config.ionosphere_free,
+        start_ns=start_ns, end_ns=end_ns,
+    )  # fmt: skip
+    faults = [parse_fault(text) for text in config.faults]
+    epochs = apply_faults(loaded.epochs, faults) if faults else loaded.epochs
+    return GnssEpochs(tuple(epochs), table.notes + loaded.notes, loaded.klobuchar)
+
+
+def _time(text: str | None, table: SignalTable) -> int | None:
+    """Return a time given as seconds from the first epoch or as GPS time in ISO form."""
+    if text is None:
+        return None
+    try:
+        return int(table.t_ns[0]) + round(float(text) * 1e9)
+    except ValueError:
+        pass
+    try:
+        return from_iso(text)
+    except ValueError as error:
+        raise InputError(f"{text!r} is neither seconds from the start nor a time like 2019-01-14T06:20:00") from error
+
+
+def run(config: RunConfig, progress: Progress = _silent) -> RunResult:
+    """Run a configuration to its end, or to an interrupt: what was computed until then is kept.
+
+    Parameters
+    ----------
+    config : RunConfig
+    progress : callable
+        Told the stage, how much is done and how much there is.
+    """
+    progress("reading", 0, 1)
+    loaded = load_epochs(config)
+    outcomes, interrupted = _loop(pipeline_for(config, loaded), loaded.epochs, progress)
+    return RunResult(outcomes, _facts(config, loaded, outcomes, interrupted))
+
+
+def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None = None) -> GnssOptions:
+    """Return the estimator's options."""
+    return GnssOptions(
+        noise=noise or config.noise_model(), mask_rad=float(np.deg2rad(config.mask_deg)), klobuchar=loaded.klobuchar,
+        doppler=config.doppler,
+    )  # fmt: skip
+
+
+def pipeline_for(config: RunConfig, loaded: GnssEpochs) -> Pipeline:
+    """Return the pipeline of a configuration."""
+    estimator = ESTIMATORS[config.estimator](options_for(config, loaded))
+    return Pipeline(estimator, config.build_monitors(), Policy(exclude=config.exclude, p_fa=config.p_fa))
+
+
+def _loop(pipeline: Pipeline, epochs: Sequence[Epoch], progress: Progress) -> tuple[tuple[Outcome, ...], bool]:
+    outcomes: list[Outcome] = []
+    try:
+        for i, epoch in enumerate(epochs):
+            outcomes.append(pipeline.push(epoch))
+            progress("monitoring", i + 1, len(epochs))
+    except KeyboardInterrupt:
+        return tuple(outcomes), True
+    return tuple(outcomes), False
+
+
+def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], interrupted: bool) -> RunFacts:
+    noise = config.noise_model()
+    return RunFacts(
+        estimator=config.estimator,
+        config=config.model_dump(mode="json"),
+        noise_name=noise.name,
+        blind_spots=blind_spots(config.estimator, noise),
+        truth_m=_truth(config, [o.t_ns for o in outcomes]),
+        notes=loaded.notes,
+        faults=tuple(describe(parse_fault(f)) for f in config.faults),
+        started=to_iso(loaded.epochs[0].t_ns) if loaded.epochs else "",
+        interrupted=interrupted,
+    )
+
+
+def _truth(config: RunConfig, t_ns: list[int]) -> FloatArray | None:
+    if config.truth_ecef_m is not None:
+        return np.tile(np.array(config.truth_ecef_m), (len(t_ns), 1))
+    if config.truth is None:
+        return None
+    position, valid = read_truth(config.truth).at(np.array(t_ns, dtype=np.int64))
+    return np.where(valid[:, None], position, np.nan)
+
+
+def blind_spots(estimator: str, noise: NoiseModel) -> tuple[str, ...]:
+    """Say what the noise model and the estimator hide from every monitor, with figures."""
+    if estimator == "spp":
+        return ("Every epoch stands alone: a fault is seen only by its contradiction to the other satellites of that epoch.",)
+    spots = []
+    if noise.code_bias_m > 0.0:
+        rate = noise.code_bias_m * np.sqrt(2.0 / noise.code_bias_tau_s)
+        spots.append(
+            f"A code error that was there when a satellite rose is taken for its bias (sigma {noise.code_bias_m:g} m): up to"
+            f" about {3.0 * noise.code_bias_m:.0f} m goes unseen. Slow growth is followed by the bias state, which may walk"
+            f" {rate:.2f} m in 1 s and {rate * np.sqrt(60.0):.2f} m in 60 s."
+        )
+    if noise.code_multipath_m > 0.0:
+        spots.append(
+            f"Multipath is expected ({noise.code_multipath_m:g} m / sin(elevation) over {noise.code_multipath_tau_s:g} s):"
+            " errors of that size and duration are not faults."
+        )
+    spots.append("An error that all satellites share is the receiver's clock, for every monitor.")
+    return tuple(spots)
