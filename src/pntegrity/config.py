@@ -13,7 +13,7 @@ from pntegrity.errors import InputError
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 
-__all__ = ["RunConfig", "load_toml", "read_noise", "to_toml", "write_noise"]
+__all__ = ["RunConfig", "load_toml", "make_config", "make_monitor", "noise_of", "read_noise", "to_toml", "write_noise"]
 
 DEFAULT_MONITORS = ("rctm", "srctm", "aime", "sraime", "glr")
 
@@ -67,17 +67,29 @@ class RunConfig(BaseModel):
 
     def noise_model(self) -> NoiseModel:
         """Return the noise model."""
-        values = dict(self.noise)
-        factors = tuple(sorted((str(k), float(v)) for k, v in dict(values.pop("factors", {})).items()))
-        unknown = set(values) - set(NoiseModel.__dataclass_fields__)
-        if unknown:
-            raise ValueError(f"noise model: unknown field {sorted(unknown)[0]!r}")
-        return NoiseModel(**values, factors=factors)
+        return noise_of(self.noise)
 
     def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
         """Return the monitors, each with its calibrated threshold factor and its own options."""
         model = noise or self.noise_model()
         return tuple(make_monitor(n, p_fa or self.p_fa, self.variant, model, self.monitor.get(n, {})) for n in self.monitors)
+
+
+def noise_of(table: dict[str, Any]) -> NoiseModel:
+    """Return the noise model of a ``[noise]`` table.
+
+    Raises
+    ------
+    ValueError
+        Naming a field that is unknown or out of range.
+    """
+    values = dict(table)
+    factors = tuple(sorted((str(k), float(v)) for k, v in dict(values.pop("factors", {})).items()))
+    satellites = tuple(sorted((str(k), float(v[0]), float(v[1])) for k, v in dict(values.pop("satellites", {})).items()))
+    unknown = set(values) - set(NoiseModel.__dataclass_fields__)
+    if unknown:
+        raise ValueError(f"noise model: unknown field {sorted(unknown)[0]!r}")
+    return NoiseModel(**values, factors=factors, satellites=satellites)
 
 
 def make_monitor(
@@ -141,8 +153,9 @@ def read_noise(path: Path) -> dict[str, Any]:
 
 def write_noise(noise: NoiseModel, facts: dict[str, Any]) -> str:
     """Return the text of a noise file: the model as ``[noise]`` and how it was found as ``[calibration]``."""
-    values = {n: getattr(noise, n) for n in NoiseModel.__dataclass_fields__ if n != "factors"}
-    return to_toml({"noise": values | {"factors": dict(noise.factors)}, "calibration": facts})
+    values = {n: getattr(noise, n) for n in NoiseModel.__dataclass_fields__ if n not in ("factors", "satellites")}
+    satellites = {sat: [round(code, 3), round(rate, 3)] for sat, code, rate in noise.satellites}
+    return to_toml({"noise": values | {"factors": dict(noise.factors), "satellites": satellites}, "calibration": facts})
 
 
 def to_toml(tables: dict[str, Any], prefix: str = "") -> str:
@@ -164,6 +177,8 @@ def _key(name: str) -> str:
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
+    if value is None:
+        return "nan"
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, list | tuple):

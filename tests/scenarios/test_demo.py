@@ -5,10 +5,15 @@ import gzip
 import numpy as np
 import pytest
 
+from pntegrity.estimators._gnss import GnssOptions
+from pntegrity.estimators.spp_kf import SppKf
+from pntegrity.evaluate.alarms import evaluate
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import read_observations
 from pntegrity.formats.truth import read_truth
+from pntegrity.monitors import discover
 from pntegrity.physics.gnss_epochs import gnss_epochs
+from pntegrity.pipeline import Pipeline
 from pntegrity.scenarios.demo import build_demo, demo_facts, demo_paths
 
 
@@ -49,3 +54,22 @@ def test_another_generator_makes_another_log(built, tmp_path):
     obs, nav, _ = build_demo(tmp_path, np.random.default_rng(1))
     assert obs.read_bytes() != built[0].read_bytes()
     assert nav.read_bytes() == built[1].read_bytes()
+
+
+def test_the_default_run_finds_every_fault_and_blames_nobody_else():
+    """GIVEN the demo, WHEN all monitors run with exclusion, THEN the faults are found, the position kept."""
+    with demo_paths() as demo:
+        loaded = gnss_epochs(read_observations(demo.obs), read_navigation(demo.nav))
+        truth, faults = read_truth(demo.truth), demo.faults
+    monitors = [monitor() for monitor in discover().values()]
+    pipeline = Pipeline(SppKf(GnssOptions(klobuchar=loaded.klobuchar)), monitors)
+    outcomes = [pipeline.push(epoch) for epoch in loaded.epochs]
+    alarms = [any(v.status == "alert" for v in o.first) for o in outcomes]
+    excluded = [o.update.excluded for o in outcomes]
+    score = evaluate(truth.t_ns, alarms, faults, excluded=excluded, recovery_s=60.0)
+    assert score.right_satellite == (True, True, True, True)
+    assert score.wrong_exclusions == ()
+    assert score.delays_s[0] == score.delays_s[2] == score.delays_s[3] == 0.0
+    assert score.delays_s[1] <= 20.0
+    places = np.array([o.update.posterior.mean[:3] for o in outcomes])
+    assert np.linalg.norm(places - truth.position_m, axis=1).max() < 5.0

@@ -13,6 +13,7 @@ def command(out: Path) -> int:
     """Run the embedded scenario."""
     from pntegrity.cli.run import execute
     from pntegrity.config import make_config
-    from pntegrity.scenarios.demo import demo_config
+    from pntegrity.scenarios.demo import demo_paths
 
-    return execute(make_config(demo_config()), out)
+    with demo_paths() as demo:
+        return execute(make_config({"obs": demo.obs, "nav": (demo.nav,), "truth": demo.truth}), out)

@@ -28,10 +28,9 @@ def execute(config: RunConfig, out: Path) -> int:
     from pntegrity.config import to_toml
     from pntegrity.formats.atomic import write_text
     from pntegrity.report.terminal import verdict_table
-    from pntegrity.report.write import prepare_folder, write_results
+    from pntegrity.report.write import write_results
     from pntegrity.run import run
 
-    prepare_folder(out)
     with progress_bar() as progress:
         result = run(config, progress)
         paths = write_results(out, result.outcomes, result.facts)

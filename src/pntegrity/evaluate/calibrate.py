@@ -32,14 +32,14 @@ RANGES: dict[str, tuple[float, float]] = {
     "accel_mps2": (1e-3, 10.0),
     "clock_drift_mps": (1e-4, 10.0),
     "clock_m": (1e-4, 10.0),
-    "code_bias_m": (0.1, 20.0),
+    "code_bias_m": (0.3, 20.0),
     "glonass_factor": (1.0, 6.0),
     "bds2_factor": (1.0, 6.0),
 }
 #: Where the fit starts: a geodetic receiver. A far start ends in a random walk of the biases that explains everything.
 TYPICAL = {
     "code_white_m": 0.02, "code_multipath_m": 0.08, "code_multipath_tau_s": 4.0, "code_smoothing_tau_s": 0.4,
-    "code_bias_m": 0.3, "doppler_mps": 0.01,
+    "code_bias_m": 1.0, "doppler_mps": 0.01,
 }  # fmt: skip
 #: Factors by which a parameter is tried, sweep after sweep; before the last, satellites get their own factors.
 STEPS = (2.5, 1.6, 1.25)

@@ -107,23 +107,3 @@ def without_cut_line(text: str, notes: list[str]) -> str:
         return text
     notes.append("the last line has no line end and may be cut off: dropped")
     return text[: text.rindex("\n") + 1]
-
-
-def atomic_write(path: Path | str, text: str) -> None:
-    """Write `text` to `path` so that a reader sees the old file or the new one, never a part.
-
-    Raises
-    ------
-    InputError
-        The folder is missing or cannot be written.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="ascii", errors="replace", newline="\n")
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError(
-            f"cannot be written ({error})", path=path, hint="Check that its folder exists"
-        ) from None

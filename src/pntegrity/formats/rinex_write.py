@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import sidereon
 
-from pntegrity.formats._source import atomic_write
+from pntegrity.formats.atomic import write_text
 from pntegrity.physics.tables import Klobuchar, Navigation, SignalTable
 from pntegrity.physics.time import SECOND_NS, from_iso, to_iso
 
@@ -49,7 +49,7 @@ def write_observations(path: Path | str, table: SignalTable, *, comment: str = "
         raise ValueError(f"`table` holds {largest:g}: RINEX has room for values below {WIDEST:g}")
     signals = _signals(table)
     lines = [*_obs_header(table, signals, comment), *_epochs(table, signals)]
-    atomic_write(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n", "ascii")
 
 
 def _values(table: SignalTable) -> dict[str, Any]:
@@ -159,7 +159,7 @@ def write_navigation(path: Path | str, nav: Navigation, *, comment: str = "") ->
         text = sidereon.encode_rinex_nav(list(nav.kepler))
         lines.append(text[text.index("\n", text.index("END OF HEADER")) + 1 :].rstrip("\n"))
     lines += [line for record in nav.glonass for line in _glonass(record)]
-    atomic_write(path, "\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n", "ascii")
 
 
 def _iono(name: str, k: Klobuchar) -> list[str]:

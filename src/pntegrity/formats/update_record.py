@@ -9,11 +9,9 @@ not so (another filter, say). On a machine with another linear algebra library t
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,11 +21,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.errors import InputError
+from pntegrity.formats.atomic import atomically
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import FloatArray, Layout, Prior, State, Update
 
-__all__ = ["Entry", "UpdateRecord", "atomically", "read_record", "write_record"]
+__all__ = ["Entry", "UpdateRecord", "read_record", "write_record"]
 
 Entry = tuple[Update, int]
 """An update, and how many earlier ones it and what follows replace (a repair; monitors begin anew there)."""
@@ -37,28 +36,6 @@ MATRICES = ("F", "Q", "H", "R")
 NAMED = ("layout", "keys", "spare_keys", "events", "excluded")
 SAMPLE = 64
 """Every so many updates the writer makes one anew to see whether the posterior comes back."""
-
-
-@contextmanager
-def atomically(path: Path | str) -> Iterator[Path]:
-    """Give a temporary path in the same folder, renamed to `path` at the end and removed after an error.
-
-    Raises
-    ------
-    InputError
-        Where the folder cannot be written.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"cannot be written: {reason}", path=path, hint="Choose another folder") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 # --- writing ----------------------------------------------------------------------------------------------

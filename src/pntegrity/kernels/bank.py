@@ -30,7 +30,7 @@ LEAST = 1e-9
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which onsets are kept: every `step`-th, thinned by octaves of age, from `youngest` to `oldest` epochs."""
+    """Which onsets are kept: every `step`-th, thinned by octaves of age, from `youngest` to `oldest`."""
 
     step: int
     youngest: int

@@ -275,12 +275,15 @@ def _monitor_table(numbers: Mapping[str, Any]) -> str:
     )
     note = "<p class='quiet'>Ratio: statistic over threshold after exclusion; 1 is an alarm. "
     if any(m["variant"] == "published" for m in numbers["monitors"]):
-        note += "A published variant does not keep its nominal P<sub>FA</sub>: it takes dependent terms as independent."
+        note += "A published variant does not keep its nominal P<sub>FA</sub>: it takes dependent terms "
+        note += "as independent."
     return f"<div class='scroll'><table><thead>{head}</thead><tbody>{rows}</tbody></table></div>{note}</p>"
 
 
 def _short(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
+    if value is None:
+        return "–"
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
 def _whiteness(numbers: Mapping[str, Any], facts: RunFacts) -> str:
@@ -300,8 +303,9 @@ def _whiteness(numbers: Mapping[str, Any], facts: RunFacts) -> str:
         "<table class='white'><thead>"
         f"<tr><th>Autocorrelation</th>{head}<th>Mean square</th></tr></thead>"
         f"<tbody>{rows}</tbody></table></div>"
-        f"<p class='quiet'>White innovations have an autocorrelation of 0 (below {WHITE_ENOUGH} counts as white) "
-        f"and a mean square of 1; below 1 the model is cautious, above 1 too optimistic.</p>{unseen}"
+        f"<p class='quiet'>White innovations have an autocorrelation of 0 (below {WHITE_ENOUGH} counts "
+        f"as white) and a mean square of 1; below 1 the model is cautious, above 1 too optimistic.</p>"
+        f"{unseen}"
     )
 
 

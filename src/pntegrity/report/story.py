@@ -230,7 +230,8 @@ def _gaps(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
     usual = int(np.median(step)) if len(step) else 0
     for i in np.flatnonzero(step > 1.5 * usual) if usual else []:
         a, b = int(t[i]), int(t[i + 1])
-        yield Sentence(a, b, "gap", f"{span_text(a, b, date)}: no data for {(b - a) * 1e-9:.0f} s.")
+        missing = max(round((b - a) / usual) - 1, 1)
+        yield Sentence(a, b, "gap", f"{span_text(a, b, date)}: no data ({missing} epochs missing).")
 
 
 def _end(outcomes: Sequence[Outcome], facts: RunFacts, date: bool) -> Iterator[Sentence]:

@@ -120,31 +120,17 @@ def _state(outcomes: Sequence[Outcome], name: str) -> FloatArray:
 
 def _clocks(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
     layouts = dict.fromkeys(o.update.posterior.layout for o in outcomes)
-    names = dict.fromkeys(
-        n for layout in layouts for n in layout.names if n.partition(":")[0] in ("clk", "isb", "drift")
-    )
-    reference = [n for n in names if n.startswith("clk")]
-    values = np.array([_state(outcomes, n) for n in reference]).reshape(len(reference), len(outcomes))
-    which = (
-        np.where(np.isfinite(values).any(axis=0), np.isfinite(values).argmax(axis=0), -1) if reference else []
-    )
-    out = {
-        "clk_m": _column(
-            np.array([values[w, i] if w >= 0 else np.nan for i, w in enumerate(which)], dtype=np.float64)
-        ),
-        "clk_system": pl.Series(
-            [reference[w].partition(":")[2] if w >= 0 else None for w in which], dtype=pl.String
-        ),
-    }
-    if not reference:
-        none = len(outcomes)
-        out = {
-            "clk_m": pl.Series([None] * none, dtype=pl.Float64),
-            "clk_system": pl.Series([None] * none, dtype=pl.String),
-        }
-    out["drift_mps"] = _column(_state(outcomes, "drift"))
-    return out | {
-        f"isb_{n[4:]}_m": _column(_state(outcomes, n)) for n in sorted(names) if n.startswith("isb:")
+    isb = sorted({n for layout in layouts for n in layout.names if n.startswith("isb:")})
+    reference = {x: next((n for n in x.names if n.partition(":")[0] == "clk"), "") for x in layouts}
+    names = [reference[o.update.posterior.layout] for o in outcomes]
+    clock = np.full(len(outcomes), np.nan)
+    for name in filter(None, set(names)):
+        clock = np.where(np.array(names) == name, _state(outcomes, name), clock)
+    return {
+        "clk_m": _column(clock),
+        "clk_system": pl.Series([n.partition(":")[2] or None for n in names], dtype=pl.String),
+        "drift_mps": _column(_state(outcomes, "drift")),
+        **{f"isb_{n[4:]}_m": _column(_state(outcomes, n)) for n in isb},
     }
 
 
@@ -166,29 +152,34 @@ def verdicts(outcomes: Sequence[Outcome]) -> pl.DataFrame:
             if first != last:
                 rows.append((first, False))
             rows.append((last, True))
-    tested = np.array([v.status != "unavailable" for v, _ in rows], dtype=bool)
+    frame = verdict_frame([v for v, _ in rows])
+    return frame.with_columns(pl.Series("final", [final for _, final in rows], dtype=pl.Boolean))
+
+
+def verdict_frame(found: Sequence[Verdict]) -> pl.DataFrame:
+    """Return one row a verdict."""
+    tested = np.array([v.status != "unavailable" for v in found], dtype=bool)
 
     def number(name: str) -> pl.Series:
-        values = np.array([getattr(v, name) for v, _ in rows], dtype=np.float64)
+        values = np.array([getattr(v, name) for v in found], dtype=np.float64)
         return _column(np.where(tested, values, np.nan))
 
     def text(name: str) -> pl.Series:
-        return pl.Series([getattr(v, name) for v, _ in rows], dtype=pl.String)
+        return pl.Series([getattr(v, name) for v in found], dtype=pl.String)
 
-    stamps = {t: to_iso(t) for t in {v.t_ns for v, _ in rows}}
+    stamps = {t: to_iso(t) for t in {v.t_ns for v in found}}
     return pl.DataFrame(
         {
-            "t_ns": pl.Series([v.t_ns for v, _ in rows], dtype=pl.Int64),
-            "time_gps": pl.Series([stamps[v.t_ns] for v, _ in rows], dtype=pl.String),
+            "t_ns": pl.Series([v.t_ns for v in found], dtype=pl.Int64),
+            "time_gps": pl.Series([stamps[v.t_ns] for v in found], dtype=pl.String),
             **{n: text(n) for n in ("monitor", "variant", "status")},
             **{n: number(n) for n in ("statistic", "threshold", "p_fa")},
-            "dof": pl.Series([v.dof for v, _ in rows], dtype=pl.Int32),
+            "dof": pl.Series([v.dof for v in found], dtype=pl.Int32),
             "suspects": pl.Series(
-                ["; ".join(map(suspect_text, v.suspects)) for v, _ in rows], dtype=pl.String
+                ["; ".join(map(suspect_text, v.suspects)) for v in found], dtype=pl.String
             ),
-            "ambiguous": pl.Series([v.ambiguous for v, _ in rows], dtype=pl.Boolean),
+            "ambiguous": pl.Series([v.ambiguous for v in found], dtype=pl.Boolean),
             "reason": text("reason"),
-            "final": pl.Series([final for _, final in rows], dtype=pl.Boolean),
         }
     )
 

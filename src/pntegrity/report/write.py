@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pntegrity.errors import InputError
-from pntegrity.formats.update_record import Entry, atomically, write_record
+from pntegrity.formats.atomic import atomically
+from pntegrity.formats.update_record import Entry, write_record
 from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.html import page

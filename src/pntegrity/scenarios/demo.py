@@ -21,6 +21,7 @@ from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_write import write_navigation, write_observations
 from pntegrity.physics.frames import geodetic_to_ecef
 from pntegrity.physics.time import SECOND_NS, from_iso
+from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.constellation import nominal_navigation
 from pntegrity.simulate.faults import Fault, parse_fault
 from pntegrity.simulate.receiver import Receiver, Simulated, keep_only, simulate, with_faults
@@ -111,7 +112,8 @@ def _observed(
     latitude, longitude = np.deg2rad(facts["latitude_deg"]), np.deg2rad(facts["longitude_deg"])
     place = geodetic_to_ecef(latitude, longitude, facts["height_m"])
     drive = car(place, heading_rad=np.deg2rad(facts["heading_deg"]))
-    return simulate(read_navigation(nav), drive, t_ns, Receiver(mask_rad=np.deg2rad(10.0)), rng)
+    receiver = Receiver(NoiseModel(**facts["noise"]), mask_rad=float(np.deg2rad(10.0)))
+    return simulate(read_navigation(nav), drive, t_ns, receiver, rng)
 
 
 def _sky(outage: dict[str, Any]) -> Any:

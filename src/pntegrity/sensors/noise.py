@@ -60,8 +60,8 @@ class NoiseModel:
     code_multipath_m: float = 0.08
     code_multipath_tau_s: float = 6.0
     code_smoothing_tau_s: float = 0.0
-    code_bias_m: float = 0.3
-    code_bias_tau_s: float = 3600.0
+    code_bias_m: float = 1.0
+    code_bias_tau_s: float = 36000.0
     glonass_factor: float = 2.0
     bds2_factor: float = 2.0
     doppler_mps: float = 0.01
