@@ -6,11 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
+from pntegrity.kernels.linear import whiten
 from pntegrity.kernels.subsets import search
+from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.records import Suspect, Update, Verdict, group_of
 
-__all__ = ["Decision", "Exclusion", "Policy", "Standing", "decide", "review"]
+#: First parts of the names of the states that all rows of an epoch share.
+COMMON = ("pos", "vel", "clk", "drift")
+#: Twice the log-likelihood by which one explanation must beat another to be preferred.
+MARGIN = 9.0
+
+__all__ = ["Decision", "Exclusion", "Policy", "Standing", "decide", "dynamics_failed", "review"]
 
 
 @dataclass(frozen=True)
@@ -25,6 +33,8 @@ class Policy:
         Probability at which the rest of an epoch is refused as inconsistent.
     most : int
         Largest number of groups left out within one epoch.
+    most_excluded : float
+        Above this share of the groups in view left out, nothing is trusted: the status is ``alert``.
     keep_rows : int
         Nothing is left out that would leave fewer level rows than this.
     proof_s : float
@@ -42,6 +52,7 @@ class Policy:
     exclude: bool = True
     p_fa: float = 1e-6
     most: int = 8
+    most_excluded: float = 0.4
     keep_rows: int = 4
     proof_s: float = 30.0
     proof_sigma: float = 2.6
@@ -86,10 +97,14 @@ class Exclusion:
 
 @dataclass(frozen=True)
 class Decision:
-    """What to leave out next, and from when on (`onset_ns` of this epoch: no repair of the past is needed)."""
+    """What to leave out next, and from when on (`onset_ns` of this epoch: no repair of the past is needed).
+
+    `relax` instead: the measurements agree with each other and not with the prior, so the prior is what must go.
+    """
 
     exclusions: tuple[Exclusion, ...] = ()
     onset_ns: int = 0
+    relax: bool = False
     reason: str = ""
     alternatives: tuple[tuple[str, ...], ...] = field(default=())
 
@@ -97,9 +112,12 @@ class Decision:
 def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous_ns: int) -> Decision:
     """Return what to leave out of an epoch that has an alert.
 
+    Where the rows contradict the prior and not each other, the motion or clock model is at fault: nothing is left out.
     An abrupt fault is found in this epoch's innovations by the smallest consistent subset. Where these are consistent,
     or a windowed monitor dates the fault before this epoch, its first suspect is followed back to its onset.
     """
+    if dynamics_failed(update, policy.p_fa):
+        return Decision(relax=True)
     windowed = _windowed_suspect(verdicts)
     if windowed is not None and _is_old(windowed[1], update.t_ns, previous_ns):
         return _from_suspect(update, *windowed)
@@ -107,6 +125,31 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     if found.exclusions or windowed is None:
         return found
     return _from_suspect(update, *windowed)
+
+
+def dynamics_failed(update: Update, p_fa: float, block: tuple[str, ...] = COMMON) -> bool:
+    """Tell whether an inconsistent epoch becomes consistent when the states common to all rows are free.
+
+    With the columns ``A`` of those states whitened, the free fit takes ``|proj_A n|^2`` from the statistic. A fault of a
+    single group explains as much with fewer unknowns, so the free fit must do clearly better than the best group.
+    """
+    total, dof = float(update.white @ update.white), len(update.keys) - update.consumed
+    if dof <= 0 or total <= chi2_threshold(p_fa, dof):
+        return False
+    columns = [i for i, name in enumerate(update.prior.layout.names) if name.partition(":")[0] in block]
+    A = whiten(update.L, np.ascontiguousarray(update.H[:, columns]))
+    basis, values, _ = np.linalg.svd(A, full_matrices=False)
+    basis = basis[:, values > 1e-9 * max(float(values[0]), 1e-300)] if len(values) else basis
+    free = float(np.sum((basis.T @ update.white) ** 2))
+    rest = dof - basis.shape[1]
+    if rest <= 0 or total - free > chi2_threshold(p_fa, rest):
+        return False
+    single = search(update.nu, update.L, _rows(update), update.consumed, p_fa, largest=1)
+    return not single.passed or free > single.explained + MARGIN
+
+
+def _rows(update: Update) -> list[npt.NDArray[np.int64]]:
+    return [r.astype(np.int64) for r in update.groups().values()]
 
 
 def _is_old(suspect: Suspect, t_ns: int, previous_ns: int) -> bool:
@@ -136,27 +179,29 @@ def _from_suspect(update: Update, verdict: Verdict, suspect: Suspect) -> Decisio
 def _from_subsets(update: Update, policy: Policy) -> Decision:
     groups = update.groups()
     names = list(groups)
-    result = search(update.nu, update.L, [r.astype(np.int64) for r in groups.values()], update.consumed, policy.p_fa)
+    result = search(update.nu, update.L, _rows(update), update.consumed, policy.p_fa)
     if not result.removed:
         return Decision(reason="" if result.passed else "no subset of the measurements is consistent")
     if len(names) - len(result.removed) < policy.keep_rows:
         return Decision(reason="too few measurements would be left")
+    sizes = _sizes(update, [groups[names[g]] for g in result.removed])
     exclusions = tuple(
         Exclusion(
-            update.t_ns, names[g], "subset", result.explained, _size(update, groups[names[g]]), "bias", update.t_ns,
-            bool(result.alternatives),
+            update.t_ns, names[g], "subset", result.explained, size, "bias", update.t_ns, bool(result.alternatives)
         )
-        for g in result.removed
-    )  # fmt: skip
+        for g, size in zip(result.removed, sizes, strict=True)
+    )
     others = tuple(tuple(names[g] for g in alternative) for alternative in result.alternatives)
     return Decision(exclusions, update.t_ns, alternatives=others)
 
 
-def _size(update: Update, rows: np.ndarray) -> float:
-    """Return the estimated bias of the group's first row, from the rows that are independent of it (w-test)."""
-    inverse = np.linalg.solve(update.S, np.eye(len(update.keys))[:, rows])
-    z = inverse.T @ update.nu
-    return float(np.linalg.lstsq(inverse[rows], z, rcond=None)[0][0])
+def _sizes(update: Update, rows: list[npt.NDArray[np.intp]]) -> list[float]:
+    """Return the bias of each group's first row, all rows of these groups estimated together: ``(V_JJ)^-1 z_J``."""
+    together = np.concatenate(rows)
+    columns = np.linalg.solve(update.S, np.eye(len(update.keys))[:, together])
+    bias = np.linalg.lstsq(columns[together], columns.T @ update.nu, rcond=None)[0]
+    first = np.cumsum([0, *(len(r) for r in rows[:-1])])
+    return [float(b) for b in bias[first]]
 
 
 def review(standing: dict[str, Standing], update: Update, present: frozenset[str], policy: Policy) -> dict[str, Standing]:

@@ -132,21 +132,27 @@ class Pipeline:
         """Exclude until no monitor alarms, nothing more can be left out, or the limit is reached."""
         made: tuple[Exclusion, ...] = ()
         reasons: list[str] = []
+        relaxed = False
         previous_ns = now.state.t_ns if len(now.state) else epoch.t_ns
         while self.policy.exclude and _alert(attempt.verdicts) and len(made) < self.policy.most:
             decision = decide(attempt.updates[-1], attempt.verdicts, self.policy, previous_ns)
+            if decision.relax and not relaxed:
+                relaxed = True
+                attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed)
+                continue
             new = tuple(e for e in decision.exclusions if e.group not in attempt.excluded)
             reasons.append(_ambiguity(decision) if new else decision.reason)
             if not new:
                 break
             made += new
-            attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made})
+            attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed)
         return attempt, made, join_reasons(reasons)
 
-    def _attempt(self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int]) -> _Attempt:
+    def _attempt(self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False) -> _Attempt:
         """Run the epoch without the groups in `since`, again from before the earliest onset where that is in the past.
 
-        The monitors begin anew at such a point: what they remembered was made with the faults in it.
+        The monitors begin anew at such a point: what they remembered was made with the faults in it. `relaxed` lets go
+        of what the dynamics say of the epoch itself.
         """
         margin = {g: max(epoch.t_ns - onset, 0) // 4 for g, onset in since.items()}
         left_out = {g: onset - margin[g] for g, onset in since.items()}
@@ -158,7 +164,8 @@ class Pipeline:
         updates, history, verdicts = [], list(now.history[:start]), ()
         for e, already in [(p.epoch, p.excluded) for p in again] + [(epoch, frozenset(now.standing))]:
             out = already | {g for g, t_ns in left_out.items() if e.t_ns >= t_ns}
-            update = self.estimator.correct(self.estimator.predict(state, e), e, out)
+            prior = self.estimator.predict(state, e)
+            update = self.estimator.correct(self.estimator.relax(prior) if relaxed and e is epoch else prior, e, out)
             verdicts, memories = self._judge(memories, update)
             history.append(Past(state, e, out))
             updates.append(update)
@@ -181,6 +188,9 @@ class Pipeline:
         present = frozenset(k.partition(":")[0] for o in epoch.observations for k in o.keys)
         after = review(standing, update, present, self.policy)
         readmitted = tuple(g for g in standing if g not in after)
+        crowd = frozenset(after) & present
+        if len(crowd) > self.policy.most_excluded * max(len(present), 1):
+            reason = join_reasons([reason, f"{len(crowd)} of {len(present)} are left out: the model does not fit the data"])
         alert = _alert(last.verdicts) or bool(reason)
         since = (now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns) if alert else None
         stuck = since is not None and (epoch.t_ns - since) * 1e-9 >= self.policy.restart_s and self.policy.exclude

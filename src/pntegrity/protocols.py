@@ -13,10 +13,14 @@ __all__ = ["Estimator", "Monitor"]
 
 @runtime_checkable
 class Estimator(Protocol):
-    """A filter or a snapshot solver. Both steps are pure: same arguments, same result, nothing kept."""
+    """A filter or a snapshot solver. All steps are pure: same arguments, same result, nothing kept."""
 
     def predict(self, state: State, epoch: Epoch) -> Prior:
         """Return the prior at `epoch` from the last posterior (an empty state: start)."""
+        ...
+
+    def relax(self, prior: Prior) -> Prior:
+        """Return the prior without what its dynamics say of the states that the epoch's rows determine anew."""
         ...
 
     def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:

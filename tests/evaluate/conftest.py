@@ -10,7 +10,7 @@ from pntegrity.simulate.linear import gains, spp_model
 
 
 def filtered(rows: list[tuple[int, ...]], restart: tuple[int, ...] = ()) -> tuple[Update, ...]:
-    """Return the updates of the SPP filter with these satellites at each epoch; it starts anew where told."""
+    """Return updates of the SPP filter with these satellites at each epoch; it starts anew where told."""
     model = spp_model(8)
     out: list[Update] = []
     for k, satellites in enumerate(rows):

@@ -1,4 +1,4 @@
-"""The Monte Carlo of an audit: the same tests as the monitor itself makes, counted with an honest interval."""
+"""The Monte Carlo of an audit: the tests that the monitor itself makes, counted with an honest interval."""
 
 from typing import Any
 

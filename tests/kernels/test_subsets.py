@@ -17,9 +17,8 @@ ROWS = [np.array([i, i + 10], dtype=np.int64) for i in range(10)]
 def statistic_without(nu: np.ndarray, left_out: list[int]) -> float:
     """Re-run the update without some rows: its residual chi-square."""
     keep = [i for i in range(20) if i not in left_out]
-    u = Update.from_filter(
-        0, F=UPDATE.F, Q=UPDATE.Q, H=UPDATE.H[keep], R=UPDATE.R[np.ix_(keep, keep)], P_prior=UPDATE.prior.P, nu=nu[keep]
-    )  # fmt: skip
+    H, R = UPDATE.H[keep], UPDATE.R[np.ix_(keep, keep)]
+    u = Update.from_filter(0, F=UPDATE.F, Q=UPDATE.Q, H=H, R=R, P_prior=UPDATE.prior.P, nu=nu[keep])
     return float(u.white @ u.white)
 
 

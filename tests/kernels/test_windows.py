@@ -17,7 +17,7 @@ def drawn(seed: int = 0) -> tuple[Update, ...]:
 
 
 def extrapolated(window: tuple[Update, ...]) -> list[np.ndarray]:
-    """Innovations against the state before the window, propagated without measurements: AIME as the paper says it."""
+    """Innovations against the state before the window, propagated without measurements (AIME as printed)."""
     state = np.zeros(8)
     filtered, out = np.zeros(8), []
     for i, u in enumerate(window):

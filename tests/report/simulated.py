@@ -47,10 +47,14 @@ def _observation(sensor: str, t_ns: int, satellites: Sequence[str]) -> Observati
     n = len(satellites)
     letter = "C" if sensor == "code" else "D"
     aux = {
-        "sv_pos_m": position[[SATELLITES.index(s) for s in satellites]].reshape(n, 3), "sv_vel_mps": np.zeros((n, 3)),
-        "sv_clk_m": np.zeros(n), "sv_clk_rate_mps": np.zeros(n), "freq_hz": np.full(n, 1575.42e6),
-        "cn0_dbhz": np.full(n, 45.0), "iono_factor": np.ones(n),
-    }  # fmt: skip
+        "sv_pos_m": position[[SATELLITES.index(s) for s in satellites]].reshape(n, 3),
+        "sv_vel_mps": np.zeros((n, 3)),
+        "sv_clk_m": np.zeros(n),
+        "sv_clk_rate_mps": np.zeros(n),
+        "freq_hz": np.full(n, 1575.42e6),
+        "cn0_dbhz": np.full(n, 45.0),
+        "iono_factor": np.ones(n),
+    }
     return Observation(sensor, t_ns, tuple(f"{s}:{letter}1C" for s in satellites), np.zeros(n), aux=aux)
 
 

@@ -35,6 +35,10 @@ class Spp:
         plain = replace(self.options.noise, code_bias_m=0.0, code_multipath_m=0.0)
         return start_prior(fix, rows, epoch.t_ns, len(state), plain, ())
 
+    def relax(self, prior: Prior) -> Prior:
+        """Return the prior as it is: it says nothing already."""
+        return prior
+
     def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
         """Use the epoch's rows but for those of the groups in `exclude`."""
         if not len(prior.state):

@@ -18,6 +18,7 @@ from pntegrity.sensors.noise import NoiseModel
 
 #: Standard deviations of a start, far above those of the snapshot that gives the mean.
 START_POS_M, START_VEL_MPS, START_CLOCK_M, START_DRIFT_MPS = 300.0, 100.0, 1000.0, 1000.0
+START_VARIANCE = np.array([START_POS_M] * 3 + [START_VEL_MPS] * 3 + [START_CLOCK_M, START_DRIFT_MPS]) ** 2
 #: A common shift of the code residuals above this is a jump of the receiver clock, m.
 CLOCK_JUMP_M = 300.0
 MOTION = ("pos:x", "pos:y", "pos:z", "vel:x", "vel:y", "vel:z")
@@ -53,6 +54,19 @@ class SppKf:
         mean, F, Q, consumed, events = _clocks(mean, F, Q, layout, state.layout, rows)
         P = symmetric(sandwich(F, state.P) + Q)
         return Prior(State(epoch.t_ns, mean, P, layout), F, Q, consumed, events, rows)
+
+    def relax(self, prior: Prior) -> Prior:
+        """Return the prior with position, velocity, clock and drift born anew; the satellites' errors stay known."""
+        if not len(prior.state):
+            return prior
+        F, Q, P = prior.F.copy(), prior.Q.copy(), prior.state.P.copy()
+        for matrix in (Q, P):
+            matrix[:8], matrix[:, :8] = 0.0, 0.0
+            matrix[range(8), range(8)] = START_VARIANCE
+        F[:8] = 0.0
+        event = "motion or clock beyond the model: position, velocity and clock started anew"
+        state = State(prior.state.t_ns, prior.state.mean, P, prior.state.layout)
+        return Prior(state, F, Q, prior.consumed + 8, (*prior.events, event), prior.context)
 
     def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
         """Use the epoch's rows but for those of the groups in `exclude`."""

@@ -71,7 +71,9 @@ def _panel(
             hollow = symbol.endswith("open")
             marker = {
                 "symbol": symbol,
-                "size": 8 if len(at) < 30 else 5, "color": "--alert", "line": {"width": 2 if hollow else 0, "color": "--alert"},
+                "size": 8 if len(at) < 30 else 5,
+                "color": "--alert",
+                "line": {"width": 2 if hollow else 0, "color": "--alert"},
             }
             x = f.x_ms[np.searchsorted(f.x_ms, _instants(f)[at])]
             traces.append(

@@ -175,9 +175,7 @@ def verdict_frame(found: Sequence[Verdict]) -> pl.DataFrame:
             **{n: text(n) for n in ("monitor", "variant", "status")},
             **{n: number(n) for n in ("statistic", "threshold", "p_fa")},
             "dof": pl.Series([v.dof for v in found], dtype=pl.Int32),
-            "suspects": pl.Series(
-                ["; ".join(map(suspect_text, v.suspects)) for v in found], dtype=pl.String
-            ),
+            "suspects": pl.Series(["; ".join(map(suspect_text, v.suspects)) for v in found], dtype=pl.String),
             "ambiguous": pl.Series([v.ambiguous for v in found], dtype=pl.Boolean),
             "reason": text("reason"),
         }

@@ -66,7 +66,7 @@ class NoiseModel:
     bds2_factor: float = 2.0
     doppler_mps: float = 0.01
     cn0_ref_dbhz: float = 35.0
-    accel_mps2: float = 0.5
+    accel_mps2: float = 2.0
     clock_m: float = 0.05
     clock_drift_mps: float = 0.05
     isb_m: float = 0.001
