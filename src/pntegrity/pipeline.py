@@ -146,6 +146,9 @@ class Pipeline:
                 break
             made += new
             attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed)
+        if _alert(attempt.verdicts) and made and all(e.monitor != "subset" for e in made):
+            reasons.append("leaving out " + "+".join(e.group for e in made) + " did not resolve the alert: undone")
+            return self._attempt(now, epoch, {}, relaxed), (), join_reasons(reasons)
         return attempt, made, join_reasons(reasons)
 
     def _attempt(self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False) -> _Attempt:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pntegrity.errors import InputError
-from pntegrity.formats.update_record import atomically, read_record, write_record
+from pntegrity.formats.atomic import atomically
+from pntegrity.formats.update_record import read_record, write_record
 from pntegrity.kernels.linear import predict_covariance
 from pntegrity.monitors.aime import Aime
 from pntegrity.monitors.glr import Glr

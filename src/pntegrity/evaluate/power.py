@@ -99,10 +99,24 @@ class _Weighted:
             return float("inf")
         if self.power(i, 0.0) >= power:
             return 0.0
-        high = 1.0 / np.sqrt(self.score[i])
+        low = high = self._guess(i, power)
+        while self.power(i, low) > power:
+            low *= 0.8
         while self.power(i, high) < power:
-            high *= 1.5
-        return float(brentq(lambda a: self.power(i, a) - power, 0.0, high, rtol=1e-6))
+            high *= 1.25
+        if low == high:
+            return low
+        return float(brentq(lambda a: self.power(i, a) - power, low, high, rtol=1e-5))
+
+    def _guess(self, i: int, power: float) -> float:
+        """Return the size at which a normal of the statistic's mean and variance has that power."""
+        w, d2 = self.weights, self.shift[:, i] ** 2
+        size, z = 1.0 / np.sqrt(self.score[i]), float(special.ndtri(power))
+        for _ in range(20):
+            spread = np.sqrt(float((2.0 * w**2 * (1.0 + 2.0 * size**2 * d2)).sum()))
+            wanted = self.threshold + z * spread - float(w.sum())
+            size = np.sqrt(max(wanted, 1e-3 * self.threshold) / float(w @ d2))
+        return float(size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any
 import polars as pl
 
 from pntegrity.errors import InputError
-from pntegrity.formats.update_record import atomically
+from pntegrity.formats.atomic import write_text
 from pntegrity.physics.signals import WORDS
 from pntegrity.pipeline import Outcome
 from pntegrity.report import figures, panels
@@ -41,8 +41,7 @@ def write_html(path: Path | str, outcomes: Sequence[Outcome], facts: RunFacts) -
     """
     table = solution(outcomes, facts)
     text = page(outcomes, facts, summary(outcomes, facts, table), table)
-    with atomically(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def page(

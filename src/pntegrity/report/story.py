@@ -168,7 +168,8 @@ def _cause(e: Exclusion, date: bool, now_ns: int) -> str:
 
 
 def _effect(o: Outcome) -> str:
-    repaired = f"filter run again over the last {o.rewound} epochs, " if o.rewound else ""
+    back = "the last epoch" if o.rewound == 1 else f"the last {o.rewound} epochs"
+    repaired = f"filter run again over {back}, " if o.rewound else ""
     kept = (
         "position kept"
         if o.status == "ok"

@@ -58,7 +58,10 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
             "summary.json",
             lambda p: p.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n", "utf-8"),
         ),
-        "report": ("report.html", lambda p: p.write_text(page(outcomes, facts, numbers, table), "utf-8")),
+        "report": (
+            "report.html",
+            lambda p: p.write_text(page(outcomes, facts, numbers, table), "utf-8", "replace"),
+        ),
     }
     paths = {}
     for name, (file, write) in writers.items():
