@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from pntegrity.errors import InputError
+from pntegrity.estimators import discover as discover_estimators
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.simulate.faults import parse_fault
 
 __all__ = ["RunConfig", "load_toml", "make_config", "make_monitor", "noise_of", "read_noise", "to_toml", "write_noise"]
 
+Metres = Annotated[float, Field(allow_inf_nan=False)]
 DEFAULT_MONITORS = ("rctm", "srctm", "aime", "sraime", "glr")
 
 
@@ -30,7 +34,7 @@ class RunConfig(BaseModel):
 
     obs: Path
     nav: tuple[Path, ...]
-    estimator: Literal["spp", "spp_kf"] = "spp_kf"
+    estimator: str = "spp_kf"
     monitors: tuple[str, ...] = DEFAULT_MONITORS
     variant: Literal["exact", "published"] = "exact"
     p_fa: float = Field(1e-6, gt=0.0, lt=0.5)
@@ -39,13 +43,31 @@ class RunConfig(BaseModel):
     systems: str = Field("GREC", min_length=1, pattern="^[GRECJ]+$")
     doppler: bool = True
     ionosphere_free: bool = False
-    truth_ecef_m: tuple[float, float, float] | None = None
+    truth_ecef_m: tuple[Metres, Metres, Metres] | None = None
     truth: Path | None = None
     faults: tuple[str, ...] = ()
     start: str | None = None
     end: str | None = None
     noise: dict[str, Any] = Field(default_factory=dict)
     monitor: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @field_validator("estimator")
+    @classmethod
+    def _is_estimator(cls, name: str) -> str:
+        if name not in discover_estimators():
+            raise ValueError(f"no estimator is called {name!r}; there are {', '.join(sorted(discover_estimators()))}")
+        return name
+
+    @field_validator("faults")
+    @classmethod
+    def _are_faults(cls, texts: tuple[str, ...]) -> tuple[str, ...]:
+        for text in texts:
+            try:
+                parse_fault(text)
+            except ValueError as error:
+                why = str(error).partition("\n")[0]
+                raise ValueError(f"{why}; write it like 'G05 ramp 0.1 m/s 200:300'") from None
+        return texts
 
     @field_validator("monitors")
     @classmethod
@@ -61,6 +83,9 @@ class RunConfig(BaseModel):
     def _consistent(self) -> RunConfig:
         if self.truth is not None and self.truth_ecef_m is not None:
             raise ValueError("give `truth` or `truth_ecef_m`, not both")
+        for name in self.monitor:
+            if name not in discover():
+                raise ValueError(f"[monitor.{name}]: no monitor is called {name!r}")
         self.noise_model()
         self.build_monitors()
         return self
@@ -84,8 +109,11 @@ def noise_of(table: dict[str, Any]) -> NoiseModel:
         Naming a field that is unknown or out of range.
     """
     values = dict(table)
-    factors = tuple(sorted((str(k), float(v)) for k, v in dict(values.pop("factors", {})).items()))
-    satellites = tuple(sorted((str(k), float(v[0]), float(v[1])) for k, v in dict(values.pop("satellites", {})).items()))
+    try:
+        factors = tuple(sorted((str(k), float(v)) for k, v in dict(values.pop("factors", {})).items()))
+        satellites = tuple(sorted((str(k), float(a), float(b)) for k, (a, b) in dict(values.pop("satellites", {})).items()))
+    except (TypeError, ValueError):
+        raise ValueError("noise model: `factors` must be numbers, `satellites` pairs of numbers") from None
     unknown = set(values) - set(NoiseModel.__dataclass_fields__)
     if unknown:
         raise ValueError(f"noise model: unknown field {sorted(unknown)[0]!r}")
@@ -106,9 +134,13 @@ def make_monitor(
     values: dict[str, Any] = {"p_fa": p_fa, "factor": (noise or NoiseModel()).factor(name)}
     if "published" in str(cls.__annotations__.get("variant", "")):
         values["variant"] = variant
+    known = [f.name for f in fields(cls)]
+    unknown = sorted(set(options or {}) - set(known))
+    if unknown:
+        raise ValueError(f"monitor {name} has no option {unknown[0]!r}; it has {', '.join(known)}")
     try:
         return cls(**(values | (options or {})))
-    except TypeError as error:
+    except ValueError as error:
         raise ValueError(f"monitor {name}: {error}") from None
 
 
@@ -139,8 +171,16 @@ def make_config(values: dict[str, Any]) -> RunConfig:
     try:
         return RunConfig(**values)
     except ValidationError as error:
-        lines = [f"{'.'.join(str(p) for p in e['loc']) or 'options'}: {e['msg']}" for e in error.errors()]
-        raise InputError("; ".join(lines), hint="`pntegrity run --help` lists the options") from None
+        why = "; ".join(_in_words(dict(e)) for e in error.errors())
+        raise InputError(why, hint="`pntegrity run --help` lists the options") from None
+
+
+def _in_words(error: dict[str, Any]) -> str:
+    """Return what pydantic found: the field, what is wrong, and the value where the text does not have it."""
+    where = ".".join(str(p) for p in error["loc"]) or "options"
+    if error["type"] == "value_error":
+        return f"{where}: {error['ctx']['error']}"
+    return f"{where}: {error['msg']}, not {error['input']!r}"
 
 
 def read_noise(path: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -111,6 +111,13 @@ class Epoch:
         return next((o for o in self.observations if o.sensor == name), None)
 
 
+@lru_cache(maxsize=1024)
+def _block(names: tuple[str, ...], prefix: str) -> npt.NDArray[np.intp]:
+    hits = np.array([i for i, n in enumerate(names) if n == prefix or n.startswith(prefix + ":")], dtype=np.intp)
+    hits.flags.writeable = False
+    return hits
+
+
 @dataclass(frozen=True)
 class Layout:
     """The names of the states, one a scalar: ``"pos:x"``, ``"clk"``, ``"isb:E"``, ``"bias:G05:C1C"``."""
@@ -124,8 +131,7 @@ class Layout:
 
     def block(self, prefix: str) -> npt.NDArray[np.intp]:
         """Return the indices of the states called `prefix` or ``prefix:...``, in order."""
-        hits = [i for i, n in enumerate(self.names) if n == prefix or n.startswith(prefix + ":")]
-        return np.array(hits, dtype=np.intp)
+        return _block(self.names, prefix)
 
     def __len__(self) -> int:
         return len(self.names)

@@ -28,7 +28,10 @@ def named_monitors(names: str, p_fa: float, variant: str, noise: Path | None) ->
     InputError
         Where a name or an option is not possible.
     """
-    model = noise_of(read_noise(noise)) if noise else None
+    try:
+        model = noise_of(read_noise(noise)) if noise else None
+    except ValueError as error:
+        raise error if isinstance(error, InputError) else InputError(str(error), path=noise) from None
     out = []
     for name in (n.strip() for n in names.split(",") if n.strip()):
         if name not in discover():

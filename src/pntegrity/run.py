@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from pntegrity.config import RunConfig
 from pntegrity.errors import InputError
+from pntegrity.estimators import discover
 from pntegrity.estimators._gnss import GnssOptions
-from pntegrity.estimators.spp import Spp
-from pntegrity.estimators.spp_kf import SppKf
 from pntegrity.exclusion import Policy
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import SignalTable, read_observations
@@ -26,7 +26,6 @@ from pntegrity.simulate.faults import apply_faults, describe, parse_fault
 
 __all__ = ["RunResult", "load_epochs", "run"]
 
-ESTIMATORS = {"spp": Spp, "spp_kf": SppKf}
 Progress = Callable[[str, int, int], None]
 
 
@@ -86,7 +85,8 @@ def run(config: RunConfig, progress: Progress = _silent) -> RunResult:
     """
     progress("reading", 0, 1)
     loaded = load_epochs(config)
-    outcomes, interrupted = _loop(pipeline_for(config, loaded), loaded.epochs, progress)
+    with threadpool_limits(1, user_api="blas"):  # small matrices: threads only get in each other's way
+        outcomes, interrupted = _loop(pipeline_for(config, loaded), loaded.epochs, progress)
     return RunResult(outcomes, _facts(config, loaded, outcomes, interrupted))
 
 
@@ -100,7 +100,7 @@ def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None 
 
 def pipeline_for(config: RunConfig, loaded: GnssEpochs) -> Pipeline:
     """Return the pipeline of a configuration."""
-    estimator = ESTIMATORS[config.estimator](options_for(config, loaded))
+    estimator = discover()[config.estimator](options_for(config, loaded))
     return Pipeline(estimator, config.build_monitors(), Policy(exclude=config.exclude, p_fa=config.p_fa))
 
 

@@ -58,8 +58,13 @@ def main() -> None:
     except click.exceptions.Abort:
         click.echo("pntegrity: interrupted", err=True)
         code = 130
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
+        code = error.exit_code
+    except click.ClickException as error:
+        ctx = getattr(error, "ctx", None)
+        hint = f" `{ctx.command_path} --help` lists the options" if ctx else ""
+        click.echo(f"pntegrity: {' '.join(error.format_message().split())}{hint}", err=True)
         code = error.exit_code
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader went away, as `head` does: not an error

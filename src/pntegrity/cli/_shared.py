@@ -18,7 +18,7 @@ INPUT = [
     click.option("--obs", type=click.Path(path_type=Path), help="RINEX 2/3/4 observation file (.gz and CRINEX too)."),
     click.option("--nav", type=click.Path(path_type=Path), multiple=True, help="RINEX navigation file; repeatable."),
     click.option("--config", type=click.Path(path_type=Path), help="TOML file with any of these options; options win."),
-    click.option("--estimator", type=click.Choice(["spp", "spp_kf"]), help="Snapshot or Kalman filter.  [spp_kf]"),
+    click.option("--estimator", help="spp (snapshot) or spp_kf (Kalman filter).  [spp_kf]"),
     click.option("--mask-deg", type=float, help="Elevation mask, degrees.  [10]"),
     click.option("--systems", help="Constellations: G GPS, R GLONASS, E Galileo, C BDS, J QZSS.  [GREC]"),
     click.option("--ionosphere-free/--single-frequency", default=None, help="Combine two frequencies.  [single]"),

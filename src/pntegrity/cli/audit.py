@@ -14,7 +14,7 @@ import click
 @click.option("--p-fa", type=float, default=1e-3, show_default=True, help="Probability of a false alarm, an epoch.")
 @click.option("--tests", type=click.IntRange(0), default=1_000_000, show_default=True, help="Monte Carlo epoch-tests; 0: none.")
 @click.option("--power", type=click.FloatRange(0.5, 0.999999), default=0.999, show_default=True, help="Probability of being seen.")
-@click.option("--delay", "delays", type=float, multiple=True, help="Delay of ramps, s; repeatable.  [10 30 60]")
+@click.option("--delay", "delays", type=click.FloatRange(0.0, min_open=True), multiple=True, help="Delay of ramps, s; repeatable.  [10 30 60]")
 @click.option("--onsets", type=click.IntRange(0), default=5, show_default=True, help="Onsets spread over the record; 0: none.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the Monte Carlo.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

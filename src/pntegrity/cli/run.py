@@ -28,9 +28,10 @@ def execute(config: RunConfig, out: Path) -> int:
     from pntegrity.config import to_toml
     from pntegrity.formats.atomic import write_text
     from pntegrity.report.terminal import verdict_table
-    from pntegrity.report.write import write_results
+    from pntegrity.report.write import results_folder, write_results
     from pntegrity.run import run
 
+    results_folder(out)  # before the work, not after it
     with progress_bar() as progress:
         result = run(config, progress)
         paths = write_results(out, result.outcomes, result.facts)

@@ -36,15 +36,20 @@ def _places(layout: Layout, keys: tuple[str, ...]) -> tuple[IndexArray, ...]:
     return tuple(columns(layout, tuple(f"{kind}:{k}" for k in keys)) for kind in KINDS)
 
 
+def _there(places: IndexArray) -> bool:
+    """Tell whether a layout has these states (all of a kind or none)."""
+    return bool(len(places)) and bool(places[0] >= 0)
+
+
 def stationary(P: FloatArray, layout: Layout, rows: Rows, noise: NoiseModel) -> None:
     """Write the stationary covariance of the satellites' states into `P`."""
     bias, mp, mpin = _places(layout, rows.keys)
-    if bias[:1] >= 0:
+    if _there(bias):
         P[bias, bias] = (noise.code_bias_m * rows.slow) ** 2
-    if mp[:1] >= 0:
+    if _there(mp):
         variance = (noise.code_multipath_m * rows.scale) ** 2
         P[mp, mp] = variance
-        if mpin[:1] >= 0:
+        if _there(mpin):
             P[mpin, mpin] = variance * (1.0 + noise.code_multipath_tau_s / noise.code_smoothing_tau_s)
             P[mp, mpin] = P[mpin, mp] = variance
 
@@ -52,12 +57,12 @@ def stationary(P: FloatArray, layout: Layout, rows: Rows, noise: NoiseModel) -> 
 def propagate(F: FloatArray, layout: Layout, rows: Rows, noise: NoiseModel, dt: float) -> None:
     """Write the transition of the satellites' states into `F`, whose columns are in the same layout."""
     bias, mp, mpin = _places(layout, rows.keys)
-    if bias[:1] >= 0:
+    if _there(bias):
         F[bias, bias] = np.exp(-dt / noise.code_bias_tau_s)
-    if mp[:1] >= 0:
+    if _there(mp):
         slow = np.exp(-dt / noise.code_multipath_tau_s)
         F[mp, mp] = slow
-        if mpin[:1] >= 0:
+        if _there(mpin):
             fast = np.exp(-dt / noise.code_smoothing_tau_s)
             F[mpin, mpin] = fast
             F[mp, mpin] = (slow - fast) / (noise.code_multipath_tau_s / noise.code_smoothing_tau_s - 1.0)

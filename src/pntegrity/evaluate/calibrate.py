@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pntegrity.errors import InputError
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators.spp_kf import SppKf
 from pntegrity.evaluate.whiteness import whiteness
@@ -108,7 +109,7 @@ def calibrate(
     """
     cut = int(len(epochs) * split)
     if cut < 100 or len(epochs) - cut < 100:
-        raise ValueError(f"a calibration needs 100 epochs on either side of the split; {cut} and {len(epochs) - cut} given")
+        raise InputError(f"a calibration needs 100 epochs on either side of the split; {cut} and {len(epochs) - cut} given")
     left_out = _outliers(epochs[:cut], options, monitors(p_fa, options.noise))
     start = _cost(epochs[:cut], options, left_out)
     noise, cost = _fit(epochs[:cut], options, left_out, progress)
@@ -116,7 +117,8 @@ def calibrate(
     noise = replace(noise, factors=_factors(updates_of(epochs[:cut], fitted, left_out), monitors(p_fa, noise)))
     progress("validation", 1.0)
     rest = epochs[cut:]
-    models = {"white": replace(WHITE, accel_mps2=noise.accel_mps2), "default": NoiseModel(), "calibrated": noise}
+    white = white_model(epochs[:cut], options, noise, left_out)
+    models = {"white": white, "default": NoiseModel(), "calibrated": noise}
     runs = {name: updates_of(rest, replace(options, noise=m), ()) for name, m in models.items()}
     alarms: dict[str, dict[str, int]] = {}
     for p in (p_fa, 1e-3):
@@ -124,6 +126,29 @@ def calibrate(
             alarms.setdefault(m.name, {})[f"{p:g}"] = _alarms(runs["calibrated"], m)
     whitened = {name: whiteness(run[SETTLE:]) for name, run in runs.items()}
     return Calibration(noise, cut, len(rest), 0.5 * (start - cost) / cut, whitened, alarms)
+
+
+def white_model(
+    epochs: Sequence[Epoch], options: GnssOptions, noise: NoiseModel, left_out: Sequence[frozenset[str]] = ()
+) -> NoiseModel:
+    """Return the best model without correlated errors: motion and clock of `noise`, white code noise fitted to the epochs.
+
+    Parameters
+    ----------
+    epochs : sequence of Epoch
+    options : GnssOptions
+    noise : NoiseModel
+        A fitted model.
+    left_out : sequence of frozenset of str
+        Groups left out of each epoch.
+    """
+    model = replace(
+        noise, name="white", code_white_m=WHITE.code_white_m, code_multipath_m=0.0, code_bias_m=0.0, satellites=(), factors=()
+    )
+    best = _cost(epochs, replace(options, noise=model), left_out)
+    for step in (*STEPS, 1.1):
+        model, best = _line(epochs, options, left_out, model, best, "code_white_m", step)
+    return model
 
 
 def updates_of(epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]]) -> list[Update]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -99,14 +99,18 @@ class _Weighted:
             return float("inf")
         if self.power(i, 0.0) >= power:
             return 0.0
+        wanted = float(special.ndtri(power))
+
+        @cache
+        def above(size: float) -> float:  # nearly a straight line
+            return float(special.ndtri(np.clip(self.power(i, size), 1e-300, 1.0 - 1e-16))) - wanted
+
         low = high = self._guess(i, power)
-        while self.power(i, low) > power:
-            low *= 0.8
-        while self.power(i, high) < power:
-            high *= 1.25
-        if low == high:
-            return low
-        return float(brentq(lambda a: self.power(i, a) - power, low, high, rtol=1e-5))
+        while above(low) > 0.0:
+            low *= 0.95
+        while above(high) < 0.0:
+            high *= 1.05
+        return low if low == high else float(brentq(above, low, high, rtol=1e-5))
 
     def _guess(self, i: int, power: float) -> float:
         """Return the size at which a normal of the statistic's mean and variance has that power."""

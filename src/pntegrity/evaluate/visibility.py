@@ -131,8 +131,8 @@ class Watch:
             return ""
         left = 100.0 * self.left[key, kind, delay]
         return (
-            f"not seen below {CAP:g} at {unseen} of {len(sizes)} onsets: after {delay:g} s {left:.2g} % of the"
-            " fault is left in the innovations, the states absorb the rest or the test does not look there"
+            f"not seen below {CAP:g} at {unseen} of {len(sizes)} onsets: after {delay:g} s {left:.2g} % of"
+            " the fault is left in the innovations, the states absorb the rest or the test looks elsewhere"
         )
 
 

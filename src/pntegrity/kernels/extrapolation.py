@@ -14,11 +14,10 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dpotri
 
-from pntegrity.kernels.linear import cholesky
+from pntegrity.kernels.linear import inverse_definite
 from pntegrity.kernels.sparse import right, sandwich
-from pntegrity.kernels.windows import inverse_root
+from pntegrity.kernels.windows import pseudo_inverses
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -50,13 +49,6 @@ def drift_covariances(window: Sequence[Step]) -> list[FloatArray]:
     return out
 
 
-def inverse_definite(cov: FloatArray) -> FloatArray:
-    """Return the inverse of a symmetric positive definite matrix, from its Cholesky factor."""
-    inverse, _ = dpotri(cholesky(cov), lower=1)
-    lower = np.tril(inverse)
-    return np.ascontiguousarray(lower + np.tril(inverse, -1).T)
-
-
 def innovation_maps(window: Sequence[Step]) -> tuple[tuple[FloatArray, ...], FloatArray]:
     """Return the maps ``M_j`` of AIME's weighted innovation sum and the sum of its weights (the published covariance).
 
@@ -66,9 +58,9 @@ def innovation_maps(window: Sequence[Step]) -> tuple[tuple[FloatArray, ...], Flo
     ----------
     Yu et al. (2023), SRAIME, eqs (27)-(32); Diesel and King (1995).
     """
-    union = {k: i for i, k in enumerate(dict.fromkeys(k for u in window for k in u.keys))}
-    rows = [np.array([union[k] for k in u.keys], dtype=np.intp) for u in window]
-    weights = [inverse_definite(u.S + sandwich(u.H, C)) for u, C in zip(window, drift_covariances(window), strict=True)]
+    union = _union([u.keys for u in window])
+    rows = [_places(u.keys, union) for u in window]
+    weights = [inverse_definite(u.S + sandwich(u.H, C) if i else u.S) for i, (u, C) in enumerate(_drifting(window))]
     believed = np.zeros((len(union), len(union)))
     maps: list[FloatArray] = []
     Y = np.zeros((len(union), window[-1].K.shape[0]))
@@ -77,11 +69,36 @@ def innovation_maps(window: Sequence[Step]) -> tuple[tuple[FloatArray, ...], Flo
         A = Y @ u.K
         A[r] += W
         maps.append(A @ u.L)
-        believed[np.ix_(r, r)] += W
+        _add_block(believed, r, W)
         if i:
             Y[r] += right(W, u.H)
             Y = right(Y, u.F)
     return tuple(reversed(maps)), believed
+
+
+def _drifting(window: Sequence[Step]) -> list[tuple[Step, FloatArray]]:
+    return list(zip(window, drift_covariances(window), strict=True))
+
+
+def _union(keys: list[tuple[str, ...]]) -> tuple[str, ...]:
+    if all(k is keys[-1] or k == keys[-1] for k in keys):
+        return keys[-1]
+    return tuple(dict.fromkeys(k for ks in keys for k in ks))
+
+
+def _places(keys: tuple[str, ...], union: tuple[str, ...]) -> slice | npt.NDArray[np.intp]:
+    """Return where rows stand in the union: everywhere (a slice, which is fast) as long as no satellite comes or goes."""
+    if keys == union:
+        return slice(None)
+    index = {k: i for i, k in enumerate(union)}
+    return np.array([index[k] for k in keys], dtype=np.intp)
+
+
+def _add_block(total: FloatArray, places: slice | npt.NDArray[np.intp], block: FloatArray) -> None:
+    if isinstance(places, slice):
+        total += block
+    else:
+        total[np.ix_(places, places)] += block
 
 
 def state_maps(window: Sequence[Step], blocks: Sequence[npt.NDArray[np.intp]]) -> tuple[tuple[FloatArray, ...], FloatArray]:
@@ -97,18 +114,15 @@ def state_maps(window: Sequence[Step], blocks: Sequence[npt.NDArray[np.intp]]) -
     ----------
     Yu et al. (2023), SRAIME, eqs (37)-(41).
     """
-    before = drift_covariances(window)
+    moved = [(C + u.absorbed)[b][:, b] for C, u, b in zip(drift_covariances(window), window, blocks, strict=True)]
+    weights = pseudo_inverses(np.stack(moved))
     d = len(blocks[0])
-    believed = np.zeros((d, d))
     maps: list[FloatArray] = []
     Y = np.zeros((d, window[-1].K.shape[0]))
     for i in range(len(window) - 1, -1, -1):
         u, b = window[i], blocks[i]
-        root = inverse_root((before[i] + u.absorbed)[np.ix_(b, b)])
-        W = root.T @ root
-        Y[:, b] += W
+        Y[:, b] += weights[i]
         maps.append(Y @ u.K @ u.L)
-        believed += W
         if i:
             Y = right(Y, u.F)
-    return tuple(reversed(maps)), believed
+    return tuple(reversed(maps)), weights.sum(axis=0)

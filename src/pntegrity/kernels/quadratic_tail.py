@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -106,10 +107,24 @@ def _trapezoid(
     return float(np.imag(terms).sum() * (reach / points) / np.pi * np.exp(height))
 
 
+@njit(cache=True, nogil=True)
 def _exponent(s: ComplexArray, x: float, w: FloatArray, d2: FloatArray) -> ComplexArray:
-    sw = np.multiply.outer(s, w)
-    rest = 1.0 - 2.0 * sw
-    return np.asarray((-0.5 * np.log(rest) + d2 * sw / rest).sum(axis=-1) - s * x - np.log(s))
+    """Return ``K(s) - s x - log s``; the angles of ``1 - 2 s w`` are summed singly: no turn is lost."""
+    out = np.empty(len(s), dtype=np.complex128)
+    for k in range(len(s)):
+        re, im = s[k].real, s[k].imag
+        size, logs, angle, shifted = 1.0, 0.0, 0.0, 0.0 + 0.0j
+        for i in range(len(w)):
+            a, b = 1.0 - 2.0 * re * w[i], -2.0 * im * w[i]
+            size *= a * a + b * b
+            if size > 1e200 or size < 1e-200:
+                logs, size = logs + np.log(size), 1.0
+            angle += np.arctan2(b, a)
+            if d2[i] > 0.0:
+                shifted += d2[i] * w[i] / complex(a, b)
+        total = -0.25 * (logs + np.log(size)) - 0.5j * angle + s[k] * shifted
+        out[k] = total - s[k] * x - np.log(s[k])
+    return out
 
 
 def quadratic_threshold(p_fa: float, weights: npt.ArrayLike) -> float:

@@ -50,7 +50,11 @@ class Signature:
 
 @lru_cache(maxsize=256)
 def catalogue(keys: tuple[str, ...], kind: str) -> tuple[Signature, ...]:
-    """Return the faults of one kind worth looking for among `keys`: single rows, whole groups, whole families."""
+    """Return the faults of one kind worth looking for among `keys`: single rows, whole groups, whole families.
+
+    The order of `keys` does not matter: a fault is the same hypothesis from epoch to epoch, however its rows come.
+    """
+    keys = tuple(sorted(keys))
     levels, rates = _by_group([k for k in keys if not is_rate(k)]), _by_group([k for k in keys if is_rate(k)])
     found = [Signature((g,), kind, (k,)) for g, ks in levels.items() for k in ks]
     if kind == "bias":

@@ -36,15 +36,29 @@ def right(B: FloatArray, A: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def sandwich(A: FloatArray, P: FloatArray) -> FloatArray:
     """Return ``A P A^T``, exactly symmetric, for a mostly-zero `A` and a symmetric `P`."""
-    m = A.shape[0]
-    AP = left(A, P)
+    m, n = A.shape
+    start = np.zeros(m + 1, dtype=np.int64)
+    column = np.empty(m * n, dtype=np.int64)
+    value = np.empty(m * n)
+    count = 0
+    for i in range(m):
+        for j in range(n):
+            if A[i, j] != 0.0:
+                column[count] = j
+                value[count] = A[i, j]
+                count += 1
+        start[i + 1] = count
+    row = np.empty(n)
     out = np.empty((m, m))
     for i in range(m):
-        nonzero = np.nonzero(A[i])[0]
+        row[:] = 0.0
+        for s in range(start[i], start[i + 1]):
+            for k in range(n):
+                row[k] += value[s] * P[column[s], k]
         for k in range(i, m):
             total = 0.0
-            for j in nonzero:
-                total += A[i, j] * AP[k, j]
+            for s in range(start[k], start[k + 1]):
+                total += value[s] * row[column[s]]
             out[i, k] = total
             out[k, i] = total
     return out

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.kernels.linear import cholesky, inverse_lower
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -88,15 +90,22 @@ def inverse_root(cov: FloatArray, rtol: float = 1e-9) -> FloatArray:
     return np.ascontiguousarray((vectors[:, keep] / np.sqrt(values[keep])).T / safe)
 
 
+def pseudo_inverses(covs: FloatArray, rtol: float = 1e-9) -> FloatArray:
+    """Return the pseudo-inverse of each covariance of a stack (k, d, d); see `inverse_root` for what is dropped."""
+    scale = np.sqrt(np.maximum(np.diagonal(covs, axis1=1, axis2=2), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covs / (safe[:, :, None] * safe[:, None, :]))
+    keep = values > rtol * np.maximum(values[:, -1:], 0.0)
+    roots = vectors * np.sqrt(np.where(keep, 1.0 / np.where(keep, values, 1.0), 0.0))[:, None, :] / safe[:, :, None]
+    return np.asarray(roots @ roots.transpose(0, 2, 1))
+
+
 def definite_inverse_root(cov: FloatArray) -> FloatArray:
     """Return `Omega` of a covariance that is expected to be positive definite; falls back on `inverse_root`."""
-    from scipy.linalg.lapack import dpotrf, dtrtri
-
-    factor, info = dpotrf(cov, lower=1, clean=1)
-    if info != 0:
+    try:
+        return inverse_lower(cholesky(cov))
+    except np.linalg.LinAlgError:
         return inverse_root(cov)
-    root, info = dtrtri(factor, lower=1)
-    return inverse_root(cov) if info != 0 else np.ascontiguousarray(root)
 
 
 def exact_form(maps: tuple[FloatArray, ...]) -> Form:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from pntegrity.kernels.signatures import Signature, catalogue, masks
 from pntegrity.kernels.tails import chi2_threshold
@@ -65,6 +66,18 @@ def no_redundancy(update: Update) -> str:
     if not update.keys:
         return update.reason or "no measurements"
     return f"no redundancy: {len(update.keys)} rows, {update.consumed} states initialised from them"
+
+
+def block_of(update: Update, block: str) -> npt.NDArray[np.intp]:
+    """Return where the states of `block` stand (all of them for an empty name)."""
+    return np.arange(len(update.prior)) if not block else update.prior.layout.block(block)
+
+
+def state_test_reason(update: Update) -> str:
+    """Say why a test of the state cannot be made."""
+    if not update.keys:
+        return no_redundancy(update)
+    return "no prior: the state was initialised from this epoch's own data" if is_start(update) else "no such states"
 
 
 def is_ambiguous(suspects: tuple[Suspect, ...], margin: float = 9.0) -> bool:

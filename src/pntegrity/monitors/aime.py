@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 from pntegrity.kernels.extrapolation import innovation_maps
 from pntegrity.kernels.windows import Form, QuadraticTest, definite_inverse_root, exact_form
+from pntegrity.monitors._options import check_epochs, check_test
 from pntegrity.monitors._window import Window, is_start, judge, quadratic_test, slide
 from pntegrity.records import Update, Verdict
 
@@ -47,8 +48,8 @@ class Aime:
     window: int = 5
 
     def __post_init__(self) -> None:
-        if self.window < 1:
-            raise ValueError(f"`window` must be at least 1 epoch, not {self.window}")
+        check_test(self.p_fa, self.factor, self.variant)
+        check_epochs("window", self.window, 1)
 
     def start(self) -> Window:
         """Return an empty window."""
@@ -69,8 +70,8 @@ class Aime:
     def _published_window(self, window: Window) -> Window:
         if self.variant == "exact" or len(window) == 1:
             return window
-        same = all(u.keys == window[-1].keys for u in window)
-        return window if same else ()
+        rows = set(window[-1].keys)
+        return window if all(set(u.keys) == rows for u in window) else ()
 
     def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
         """Return the test of the window that ends with `update`, without data, and the memory after it."""

@@ -12,6 +12,7 @@ from pntegrity.kernels.bank import (
 )  # fmt: skip
 from pntegrity.kernels.signatures import catalogue, rows_touched
 from pntegrity.kernels.tails import max_threshold
+from pntegrity.monitors._options import check_epochs, check_test
 from pntegrity.monitors._window import best_of_groups, is_ambiguous, is_start, no_redundancy, unavailable
 from pntegrity.records import FloatArray, Suspect, Update, Verdict
 
@@ -68,8 +69,8 @@ class Glr:
     variant: Literal["exact"] = "exact"
 
     def __post_init__(self) -> None:
-        if self.longest < 8:
-            raise ValueError(f"`longest` must be at least 8 epochs, not {self.longest}")
+        check_test(self.p_fa, self.factor, self.variant, ("exact",))
+        check_epochs("longest", self.longest, 8)
 
     @property
     def schedules(self) -> tuple[Schedule, ...]:

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from pntegrity.kernels.windows import Form, QuadraticTest
+from pntegrity.monitors._options import check_test
 from pntegrity.monitors._window import Window, judge, quadratic_test
 from pntegrity.records import Update, Verdict
 
@@ -44,6 +45,9 @@ class Rctm:
     p_fa: float = 1e-6
     variant: Literal["exact", "published"] = "exact"
     factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_test(self.p_fa, self.factor, self.variant)
 
     def start(self) -> Window:
         """Return an empty window."""

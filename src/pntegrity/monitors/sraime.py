@@ -9,8 +9,8 @@ import numpy as np
 
 from pntegrity.kernels.extrapolation import state_maps
 from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
-from pntegrity.monitors._window import Window, is_start, judge, quadratic_test, slide
-from pntegrity.monitors.srctm import block_of, state_test_reason
+from pntegrity.monitors._options import check_block, check_epochs, check_test
+from pntegrity.monitors._window import Window, block_of, is_start, judge, quadratic_test, slide, state_test_reason
 from pntegrity.records import Update, Verdict
 
 
@@ -52,8 +52,9 @@ class Sraime:
     block: str = "pos"
 
     def __post_init__(self) -> None:
-        if self.window < 1:
-            raise ValueError(f"`window` must be at least 1 epoch, not {self.window}")
+        check_test(self.p_fa, self.factor, self.variant)
+        check_epochs("window", self.window, 1)
+        check_block(self.block)
 
     def start(self) -> Window:
         """Return an empty window."""

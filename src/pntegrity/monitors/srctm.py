@@ -8,7 +8,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
-from pntegrity.monitors._window import Window, is_start, judge, no_redundancy, quadratic_test, slide
+from pntegrity.monitors._options import check_block, check_test
+from pntegrity.monitors._window import Window, block_of, is_start, judge, quadratic_test, slide, state_test_reason
 from pntegrity.records import Update, Verdict
 
 
@@ -44,6 +45,10 @@ class Srctm:
     factor: float = 1.0
     block: str = "pos"
 
+    def __post_init__(self) -> None:
+        check_test(self.p_fa, self.factor, self.variant)
+        check_block(self.block)
+
     def start(self) -> Window:
         """Return an empty window."""
         return ()
@@ -68,15 +73,3 @@ class Srctm:
         """Test one update."""
         test, after = self.plan(memory, update)
         return judge(self.name, self.variant, test, memory, update), after
-
-
-def block_of(update: Update, block: str) -> np.ndarray:
-    """Return where the states of `block` stand (all of them for an empty name)."""
-    return np.arange(len(update.prior)) if not block else update.prior.layout.block(block)
-
-
-def state_test_reason(update: Update) -> str:
-    """Say why a test of the state cannot be made."""
-    if not update.keys:
-        return no_redundancy(update)
-    return "no prior: the state was initialised from this epoch's own data" if is_start(update) else "no such states"

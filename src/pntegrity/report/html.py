@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import math
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from importlib.util import find_spec
@@ -139,7 +140,7 @@ def _numbers(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     out = [
         (
             "Tested and OK",
-            f"{100 * ok['share']:.4g}",
+            _percent(ok["share"]),
             "%",
             f"{ok['epochs']} of {s['epochs']} epochs, {untested} untested",
         ),
@@ -174,6 +175,11 @@ def _numbers(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
             f"as the filter states it; up {sigma['u']:.2f} m. No truth given",
         ),
     ]
+
+
+def _percent(share: float) -> str:
+    """Return a share in per cent, rounded down: 100 means all."""
+    return f"{math.floor(1000.0 * share + 1e-9) / 10.0:g}"
 
 
 def _story(sentences: Sequence[Sentence], facts: RunFacts) -> str:
@@ -226,7 +232,7 @@ def _body(shown: Sequence[Figure], f: Frame, numbers: Mapping[str, Any], facts: 
 
 
 _STATUS = "After exclusion. Drag along any time axis to zoom all of them; double-click to go back."
-_SKY = "A point every 30 s and wherever satellites come or go. Circles: left out there."
+_SKY = "A point every 30 s and wherever satellites come or go. Orange: left out there."
 _MONITORS = (
     "Statistic (line) and threshold (dashed), logarithmic. Open circles: alarms at first look that exclusion "
     "resolved; triangles: alarms that remained. Shaded: no test possible."
@@ -282,7 +288,7 @@ def _monitor_table(numbers: Mapping[str, Any]) -> str:
 def _short(value: float | None) -> str:
     if value is None:
         return "–"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    return f"{value:.0f}" if 100.0 <= abs(value) < 1e5 else f"{value:.3g}"
 
 
 def _whiteness(numbers: Mapping[str, Any], facts: RunFacts) -> str:

@@ -15,6 +15,8 @@ from pntegrity.report.tables import groups_in
 
 __all__ = ["monitors", "position", "sky"]
 
+FEW = 12
+"""Up to as many exclusions get a ring in the sky plot, more only a thick track."""
 SKY_STEP_S = 30.0
 """The sky plot has one point a track in this time; its caption says so."""
 
@@ -86,12 +88,16 @@ def _panel(
                     "marker": marker,
                 }
             )
-    every = np.concatenate([statistic, threshold, resolved])
+    return traces, *_log_range(np.concatenate([statistic, threshold, resolved]), threshold)
+
+
+def _log_range(every: FloatArray, threshold: FloatArray) -> tuple[float, float]:
+    """Return a range that shows the statistics and the threshold; zeros have no place on a log axis."""
     every = every[np.isfinite(every) & (every > 0.0)]
     top = float(every.max()) if len(every) else 10.0
     level = float(np.nanmedian(threshold)) if np.isfinite(threshold).any() else 1.0
     low = float(np.quantile(every, 0.01)) if len(every) else level * 1e-2
-    return traces, max(low / 2.0, level * 1e-4), max(top, level) * 3.0
+    return max(low / 2.0, level * 1e-7), max(top, level) * 3.0
 
 
 def _instants(f: Frame) -> FloatArray:
@@ -111,11 +117,14 @@ def _title(count: dict[str, Any], top: float) -> dict[str, Any]:
     )
     said = said if tests else "no test"
     text = f"<b>{safe(count['monitor'].upper())}</b>  {safe(count['variant'])} · {said}"
+    return _label(text, top)
+
+
+def _label(text: str, top: float) -> dict[str, Any]:
+    """Return a title at the left above a panel whose upper edge is at `top`."""
     return {
         "text": text, "x": 0, "xref": "paper", "xanchor": "left", "y": top, "yref": "paper",
-        "yanchor": "bottom",
-        "showarrow": False,
-        "font": {"size": 12}, "bgcolor": "--card", "borderpad": 2,
+        "yanchor": "bottom", "showarrow": False, "font": {"size": 12},
     }  # fmt: skip
 
 
@@ -165,24 +174,7 @@ def position(f: Frame, table: pl.DataFrame) -> Figure:
             "nticks": 5,
             "fixedrange": True,
         }
-        title = {
-            "text": f"<b>{word}</b>, m",
-            "x": 0,
-            "y": domain[1],
-            "yanchor": "bottom",
-            "xanchor": "left",
-            "showarrow": False,
-        }
-        layout["annotations"].append(
-            {
-                **title,
-                "xref": "paper",
-                "yref": "paper",
-                "bgcolor": "--card",
-                "borderpad": 2,
-                "font": {"size": 12},
-            }
-        )
+        layout["annotations"].append(_label(f"<b>{word}</b>, m", domain[1]))
     layout["xaxis"] = {"anchor": "y3"}
     return Figure("position", data, layout, 440)
 
@@ -218,7 +210,8 @@ def sky(f: Frame) -> Figure:
     if marked:
         r, theta = zip(*marked, strict=True)
         line = {"color": "--alert", "width": 4}
-        marker = {"size": 13, "color": "--alert", "symbol": "circle-open", "line": {"width": 2}}
+        few = len(f.gone) <= FEW
+        marker = {"size": 13 if few else 0, "color": "--alert", "symbol": "circle-open", "line": {"width": 2}}
         data.append(
             {
                 "type": "scatterpolar", "mode": "lines+markers", "r": list(r), "theta": list(theta),

@@ -108,26 +108,29 @@ def _satellites(o: Outcome) -> int:
 
 
 def _starts(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
+    """Yield starts and other events of the filter; what happens again and again gets one sentence."""
+    found: dict[str, list[Outcome]] = {}
     for o in outcomes:
-        u = o.update
-        if not u.events or not u.keys:
-            continue
-        words = "; ".join(e for e in u.events if e != "start")
-        if "start" in u.events:
-            untested = [v.monitor.upper() for v in o.verdicts if v.status == "unavailable"]
-            test = (
-                "no test possible"
-                if len(untested) == len(o.verdicts)
-                else f"no test yet by {names(untested)}"
+        words = "; ".join(e for e in o.update.events if e != "start")
+        if "start" in o.update.events and o.update.keys:
+            yield Sentence(o.t_ns, o.t_ns, "start", f"{clock_time(o.t_ns, date)}: {_started(o, words)}.")
+        elif words and o.update.keys:
+            found.setdefault(words, []).append(o)
+    for words, at in found.items():
+        if len(at) > OFTEN:
+            when = span_text(at[0].t_ns, at[-1].t_ns, date)
+            yield Sentence(at[0].t_ns, at[-1].t_ns, "event", f"{when}: {words} ({len(at)} times).")
+        else:
+            yield from (
+                Sentence(o.t_ns, o.t_ns, "event", f"{clock_time(o.t_ns, date)}: {words}.") for o in at
             )
-            words = f"filter started from {_satellites(o)} satellites" + (f" ({words})" if words else "")
-            words += f"; {test}" if untested else ""
-        yield Sentence(
-            o.t_ns,
-            o.t_ns,
-            "start" if "start" in u.events else "event",
-            f"{clock_time(o.t_ns, date)}: {words}.",
-        )
+
+
+def _started(o: Outcome, words: str) -> str:
+    untested = [v.monitor.upper() for v in o.verdicts if v.status == "unavailable"]
+    test = "no test possible" if len(untested) == len(o.verdicts) else f"no test yet by {names(untested)}"
+    text = f"filter started from {_satellites(o)} satellites" + (f" ({words})" if words else "")
+    return text + (f"; {test}" if untested else "")
 
 
 def _excluded(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
@@ -211,7 +214,7 @@ def _stretches(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
 
 def _alarm(stretch: list[Outcome]) -> str:
     monitors = sorted({v.monitor.upper() for o in stretch for v in o.verdicts if v.status == "alert"})
-    reasons = Counter(o.reason for o in stretch if o.reason).most_common(2)
+    reasons = Counter(r for o in stretch for r in o.reason.split("; ") if r).most_common(2)
     blamed = Counter(
         "+".join(v.suspect_groups) for o in stretch for v in o.verdicts if v.status == "alert" and v.suspects
     )

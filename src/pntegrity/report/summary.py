@@ -195,8 +195,12 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
     if numbers["exclusions"]:
         detail = f"{left_out} After that no monitor alarmed at any of {n} epochs.{cut}"
         return "Every alarm was resolved by exclusion", detail, "ok"
-    return f"No alarm in {n} epochs", f"Every epoch was tested by at least one monitor. {left_out}{cut}", "ok"
+    return (
+        f"No alarm in {n} epoch{'s' * (n != 1)}",
+        f"Every epoch was tested by at least one monitor. {left_out}{cut}",
+        "ok",
+    )
 
 
 def _also(untested: int) -> str:
-    return f" {untested} epochs could not be tested." if untested else ""
+    return f" {untested} epoch{'s' * (untested != 1)} could not be tested." if untested else ""

@@ -15,7 +15,7 @@ from pntegrity.report.html import page
 from pntegrity.report.summary import summary
 from pntegrity.report.tables import exclusions, solution, verdicts
 
-__all__ = ["entries", "write_results"]
+__all__ = ["entries", "results_folder", "write_results"]
 
 
 def entries(outcomes: Sequence[Outcome]) -> list[Entry]:
@@ -45,7 +45,7 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
     InputError
         Where the folder cannot be made or written. A file that was there before is then as it was.
     """
-    folder = _folder(Path(out))
+    folder = results_folder(Path(out))
     table = solution(outcomes, facts)
     numbers = summary(outcomes, facts, table)
     about = {"estimator": facts.estimator, "noise_model": facts.noise_name, "config": dict(facts.config)}
@@ -71,7 +71,14 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
     return paths
 
 
-def _folder(out: Path) -> Path:
+def results_folder(out: Path) -> Path:
+    """Return the folder, made where it is missing.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be made.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -77,8 +77,8 @@ class NoiseModel:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if isinstance(value, float) and not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"noise model: `{f.name}` must be a number of at least 0, not {value}")
+            if f.type == "float" and not (isinstance(value, int | float) and np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"noise model: `{f.name}` must be a number of at least 0, not {value!r}")
         for tau in ("code_multipath_tau_s", "code_bias_tau_s"):
             if getattr(self, tau) <= 0.0:
                 raise ValueError(f"noise model: `{tau}` must be above 0, not {getattr(self, tau)}")

@@ -165,6 +165,8 @@ def _size(text: str, kind: Kind, signals: str, words: list[str]) -> tuple[float,
     if len(words) < 2 or not re.fullmatch(_NUMBER, words[0]):
         raise _bad(text, "a size and its unit must follow the kind")
     number, unit = float(words.pop(0)), words.pop(0)
+    if not np.isfinite(number):
+        raise _bad(text, "the size must be finite")
     found = _UNIT.match(unit)
     if found is None:
         raise _bad(text, f"{unit!r} is no unit")

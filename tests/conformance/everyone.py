@@ -1,0 +1,111 @@
+"""Every monitor (and variant), every estimator: found by existing, run over eventful logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pytest
+from gnss_logs import LinearFilter, log, navigation, only, options, without
+
+from pntegrity import estimators, monitors
+from pntegrity.exclusion import Policy
+from pntegrity.pipeline import Outcome, Pipeline
+from pntegrity.protocols import Estimator, Monitor
+from pntegrity.records import Epoch, Update
+from pntegrity.simulate.linear import Disturbance, linear_epochs, spp_model
+
+LINEAR = "linear"
+SOURCES = (LINEAR, *sorted(estimators.discover()))
+#: Everything of a run that decides what can be told apart: bad enough that satellites go and come back.
+POLICY = Policy(p_fa=1e-5, proof_s=8.0, restart_s=15.0, history=25)
+
+
+def variants(cls: type[Any]) -> tuple[str, ...]:
+    """Return the variants that a monitor's class declares."""
+    return get_args(get_type_hints(cls)["variant"])
+
+
+MONITORS = [(name, v) for name, cls in sorted(monitors.discover().items()) for v in variants(cls)]
+EXACT = [name for name, v in MONITORS if v == "exact"]
+
+
+def build(name: str, variant: str = "exact", p_fa: float = 1e-5) -> Monitor:
+    return monitors.discover()[name](p_fa=p_fa, variant=variant)
+
+
+@dataclass(frozen=True)
+class Source:
+    """An estimator and the log it runs on."""
+
+    estimator: Estimator
+    epochs: tuple[Epoch, ...]
+
+
+@lru_cache(maxsize=8)
+def source(name: str) -> Source:
+    return linear_source() if name == LINEAR else gnss_source(name)
+
+
+def gnss_source(name: str) -> Source:
+    """GPS and Galileo: a jump, a ramp, two satellites at once, a fault of all, an outage, a gap, risings and settings."""
+    epochs = log(
+        95, "G07 bias 30 m 12:20", "E19 ramp 0.6 m/s 30:45", "G10 bias 50 m 52:58", "E16 bias -60 m 52:58",
+        "G* bias 25 m 66:70",
+    )  # fmt: skip
+    shown = []
+    for k, e in enumerate(epochs):
+        e = without(e, ["G05"]) if k < 8 else e  # rises late
+        e = without(e, ["E21"]) if k > 48 else e  # sets
+        e = without(e, [g for g in all_groups(e) if g[0] == "E"]) if k < 3 else e  # a whole constellation comes
+        e = only(e, ["G05", "G24", "E04"]) if 74 <= k < 77 else e
+        if k not in (82, 83, 84):
+            shown.append(e)
+    cls = estimators.discover()[name]
+    return Source(cls(options(navigation())), tuple(shown))
+
+
+def all_groups(epoch: Epoch) -> set[str]:
+    return {k.partition(":")[0] for o in epoch.observations for k in o.keys}
+
+
+def linear_source() -> Source:
+    """The 8-state filter: a jump, a ramp, two satellites at once, an epoch without rows, two satellites that come late."""
+    model = spp_model(9)
+    rows = np.zeros((90, 18))
+    rows[12:20, 2] = 40.0
+    rows[30:50, 5] = 1.5 * np.arange(20)
+    rows[60:66, [1, 6]] = 60.0, -80.0
+    epochs, _ = linear_epochs(model, 90, np.random.default_rng(5), Disturbance(rows=rows))
+    shown = [without(e, ["G08", "G09"]) if k < 9 else e for k, e in enumerate(epochs)]
+    shown[75] = only(shown[75], [])
+    shown[76] = only(shown[76], ["G01", "G02", "G03"])
+    return Source(LinearFilter(model), tuple(shown))
+
+
+@lru_cache(maxsize=64)
+def outcomes(name: str, variant: str, where: str) -> tuple[Outcome, ...]:
+    """Return a run of one monitor over a source's log, in one go."""
+    s = source(where)
+    pipeline = Pipeline(s.estimator, [build(name, variant)], POLICY)
+    return tuple(pipeline.push(e) for e in s.epochs)
+
+
+@lru_cache(maxsize=8)
+def updates(where: str) -> tuple[Update, ...]:
+    """Return all updates of a run that RCTM watched, those that a repair replaced among them."""
+    return tuple(u for o in outcomes("rctm", "exact", where) for u in o.updates)
+
+
+def label(value: Any) -> str:
+    return "-".join(value) if isinstance(value, tuple) else str(value)
+
+
+every_monitor = pytest.mark.parametrize("which", MONITORS, ids=label)
+every_source = pytest.mark.parametrize("where", SOURCES)
+
+
+def option_names(cls: type[Any]) -> set[str]:
+    return {f.name for f in fields(cls)}
