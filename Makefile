@@ -42,8 +42,8 @@ docs: $(VENV)/.installed-docs  ## the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 	@echo docs/_build/html/index.html
 
-results: $(VENV)/.installed  ## measure every figure of docs/results.md again
-	$(BIN)/pntegrity evidence all --write docs/results.md
+results: $(VENV)/.installed  ## measure every figure of docs/results.md again; DATA=folder of the real logs
+	$(BIN)/pntegrity evidence all $(if $(DATA),--data '$(DATA)') --write docs/results.md
 
 clean:           ## remove what the targets made
 	rm -rf $(VENV) docs/_build demo-results build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache

@@ -1,4 +1,6 @@
-"""Logs that several test folders share: simulated GNSS epochs and a linear filter, with and without faults."""
+"""Logs that several test folders share: simulated GNSS epochs and a linear filter, with and without
+faults.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from pntegrity.simulate.constellation import nominal_navigation
 from pntegrity.simulate.faults import apply_faults, parse_fault
 from pntegrity.simulate.linear import LinearModel
 from pntegrity.simulate.receiver import Receiver, Simulated, epochs_of, simulate
-from pntegrity.simulate.trajectory import Trajectory, static
+from pntegrity.simulate.trajectory import static
 
 SECOND = 10**9
 START = from_iso("2024-06-01T09:30:00")
@@ -38,13 +40,16 @@ def options(nav: Navigation, **changes: Any) -> GnssOptions:
     return replace(GnssOptions(noise=NOISE, klobuchar=nav.klobuchar["G"]), **changes)
 
 
+STILL = static(PLACE)
+
+
 @lru_cache(maxsize=16)
 def simulated(
-    n: int, systems: str = "GE", seed: int = 1, scale: float = 1.0, move: Trajectory = static(PLACE)
+    n: int, systems: str = "GE", seed: int = 1, scale: float = 1.0, clock_m: float = 2000.0
 ) -> Simulated:
     t_ns = START + SECOND * np.arange(n, dtype=np.int64)
-    receiver = Receiver(NOISE, scale, mask_rad=float(np.deg2rad(8.0)))
-    return simulate(navigation(systems), move, t_ns, receiver, np.random.default_rng(seed))
+    receiver = Receiver(NOISE, scale, mask_rad=float(np.deg2rad(8.0)), clock_m=clock_m)
+    return simulate(navigation(systems), static(PLACE), t_ns, receiver, np.random.default_rng(seed))
 
 
 @lru_cache(maxsize=16)
@@ -52,9 +57,7 @@ def _clean(n: int, systems: str, seed: int, scale: float) -> tuple[Epoch, ...]:
     return tuple(epochs_of(simulated(n, systems, seed, scale).table, navigation(systems)))
 
 
-def log(
-    n: int, *faults: str, systems: str = "GE", seed: int = 1, scale: float = 1.0
-) -> list[Epoch]:
+def log(n: int, *faults: str, systems: str = "GE", seed: int = 1, scale: float = 1.0) -> list[Epoch]:
     """Return `n` epochs at 1 Hz of a receiver at `PLACE`, with faults in the grammar of `simulate.faults`."""
     return apply_faults(_clean(n, systems, seed, scale), [parse_fault(f) for f in faults])
 
@@ -62,13 +65,18 @@ def log(
 def without(epoch: Epoch, groups: Iterable[str]) -> Epoch:
     """Return the epoch as if some groups were not there."""
     gone = frozenset(groups)
-    return replace(epoch, observations=tuple(_kept(o, [group_of(k) not in gone for k in o.keys]) for o in epoch.observations))
+    return replace(
+        epoch,
+        observations=tuple(_kept(o, [group_of(k) not in gone for k in o.keys]) for o in epoch.observations),
+    )
 
 
 def only(epoch: Epoch, groups: Iterable[str]) -> Epoch:
     """Return the epoch with some groups alone."""
     seen = frozenset(groups)
-    return replace(epoch, observations=tuple(_kept(o, [group_of(k) in seen for k in o.keys]) for o in epoch.observations))
+    return replace(
+        epoch, observations=tuple(_kept(o, [group_of(k) in seen for k in o.keys]) for o in epoch.observations)
+    )
 
 
 def _kept(o: Observation, rows: list[bool]) -> Observation:
@@ -94,7 +102,9 @@ def shifted(epoch: Epoch, metres: float, sensor: str = "code") -> Epoch:
 
 @dataclass(frozen=True)
 class LinearFilter:
-    """The textbook Kalman filter of a linear model as an estimator, for epochs of `simulate.linear_epochs`."""
+    """The textbook Kalman filter of a linear model as an estimator, for epochs of
+    `simulate.linear_epochs`.
+    """
 
     model: LinearModel
 
@@ -102,7 +112,9 @@ class LinearFilter:
         m = self.model
         n = len(m.layout)
         if not len(state):
-            return Prior(State(epoch.t_ns, np.zeros(n), m.P0, m.layout), np.zeros((n, 0)), m.P0, events=("start",))
+            return Prior(
+                State(epoch.t_ns, np.zeros(n), m.P0, m.layout), np.zeros((n, 0)), m.P0, events=("start",)
+            )
         P = m.F @ state.P @ m.F.T + m.Q
         return Prior(State(epoch.t_ns, m.F @ state.mean, 0.5 * (P + P.T), m.layout), m.F, m.Q)
 
@@ -140,7 +152,9 @@ def fingerprint(value: Any) -> Any:
     return value
 
 
-def run(estimator: Estimator, monitors: Sequence[Monitor], epochs: Sequence[Epoch], **policy: Any) -> list[Any]:
+def run(
+    estimator: Estimator, monitors: Sequence[Monitor], epochs: Sequence[Epoch], **policy: Any
+) -> list[Any]:
     """Return the outcomes of a pipeline."""
     from pntegrity.exclusion import Policy
     from pntegrity.pipeline import Pipeline

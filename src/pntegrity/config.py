@@ -1,4 +1,6 @@
-"""The configuration of a run: what the command line's options and ``--config run.toml`` hold, checked in one place."""
+"""The configuration of a run: what the command line's options and ``--config run.toml`` hold, checked in one
+place.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,16 @@ from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import parse_fault
 
-__all__ = ["RunConfig", "load_toml", "make_config", "make_monitor", "noise_of", "read_noise", "to_toml", "write_noise"]
+__all__ = [
+    "RunConfig",
+    "load_toml",
+    "make_config",
+    "make_monitor",
+    "noise_of",
+    "read_noise",
+    "to_toml",
+    "write_noise",
+]
 
 Metres = Annotated[float, Field(allow_inf_nan=False)]
 DEFAULT_MONITORS = ("rctm", "srctm", "aime", "sraime", "glr")
@@ -25,9 +36,9 @@ DEFAULT_MONITORS = ("rctm", "srctm", "aime", "sraime", "glr")
 class RunConfig(BaseModel):
     """Everything that decides what a run computes.
 
-    Files are as given on the command line; `faults` are in the grammar of ``simulate.faults``; `noise` is a table of
-    fields of `NoiseModel`, or a file that ``calibrate`` wrote. `monitor` holds options of single monitors, for instance
-    ``[monitor.aime] window = 10``.
+    Files are as given on the command line; `faults` are in the grammar of ``simulate.faults``; `noise` is a
+    table of fields of `NoiseModel`, or a file that ``calibrate`` wrote. `monitor` holds options of single
+    monitors, for instance ``[monitor.aime] window = 10``.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -55,7 +66,9 @@ class RunConfig(BaseModel):
     @classmethod
     def _is_estimator(cls, name: str) -> str:
         if name not in discover_estimators():
-            raise ValueError(f"no estimator is called {name!r}; there are {', '.join(sorted(discover_estimators()))}")
+            raise ValueError(
+                f"no estimator is called {name!r}; there are {', '.join(sorted(discover_estimators()))}"
+            )
         return name
 
     @field_validator("faults")
@@ -97,7 +110,10 @@ class RunConfig(BaseModel):
     def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
         """Return the monitors, each with its calibrated threshold factor and its own options."""
         model = noise or self.noise_model()
-        return tuple(make_monitor(n, p_fa or self.p_fa, self.variant, model, self.monitor.get(n, {})) for n in self.monitors)
+        return tuple(
+            make_monitor(n, p_fa or self.p_fa, self.variant, model, self.monitor.get(n, {}))
+            for n in self.monitors
+        )
 
 
 def noise_of(table: dict[str, Any]) -> NoiseModel:
@@ -111,7 +127,9 @@ def noise_of(table: dict[str, Any]) -> NoiseModel:
     values = dict(table)
     try:
         factors = tuple(sorted((str(k), float(v)) for k, v in dict(values.pop("factors", {})).items()))
-        satellites = tuple(sorted((str(k), float(a), float(b)) for k, (a, b) in dict(values.pop("satellites", {})).items()))
+        satellites = tuple(
+            sorted((str(k), float(a), float(b)) for k, (a, b) in dict(values.pop("satellites", {})).items())
+        )
     except (TypeError, ValueError):
         raise ValueError("noise model: `factors` must be numbers, `satellites` pairs of numbers") from None
     unknown = set(values) - set(NoiseModel.__dataclass_fields__)
@@ -121,7 +139,11 @@ def noise_of(table: dict[str, Any]) -> NoiseModel:
 
 
 def make_monitor(
-    name: str, p_fa: float, variant: str = "exact", noise: NoiseModel | None = None, options: dict[str, Any] | None = None
+    name: str,
+    p_fa: float,
+    variant: str = "exact",
+    noise: NoiseModel | None = None,
+    options: dict[str, Any] | None = None,
 ) -> Any:
     """Return one monitor; a monitor that has no published variant stays exact.
 
@@ -193,9 +215,13 @@ def read_noise(path: Path) -> dict[str, Any]:
 
 def write_noise(noise: NoiseModel, facts: dict[str, Any]) -> str:
     """Return the text of a noise file: the model as ``[noise]`` and how it was found as ``[calibration]``."""
-    values = {n: getattr(noise, n) for n in NoiseModel.__dataclass_fields__ if n not in ("factors", "satellites")}
+    values = {
+        n: getattr(noise, n) for n in NoiseModel.__dataclass_fields__ if n not in ("factors", "satellites")
+    }
     satellites = {sat: [round(code, 3), round(rate, 3)] for sat, code, rate in noise.satellites}
-    return to_toml({"noise": values | {"factors": dict(noise.factors), "satellites": satellites}, "calibration": facts})
+    return to_toml(
+        {"noise": values | {"factors": dict(noise.factors), "satellites": satellites}, "calibration": facts}
+    )
 
 
 def to_toml(tables: dict[str, Any], prefix: str = "") -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pntegrity.kernels.linear import whiten
+from pntegrity.kernels.signatures import is_rate
 from pntegrity.kernels.subsets import search
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.records import Suspect, Update, Verdict, group_of
@@ -17,6 +18,7 @@ from pntegrity.records import Suspect, Update, Verdict, group_of
 COMMON = ("pos", "vel", "clk", "drift")
 #: Twice the log-likelihood by which one explanation must beat another to be preferred.
 MARGIN = 9.0
+TOO_FEW = "too few measurements would be left"
 
 __all__ = ["Decision", "Exclusion", "Policy", "Standing", "decide", "dynamics_failed", "review"]
 
@@ -34,11 +36,13 @@ class Policy:
     most : int
         Largest number of groups left out within one epoch.
     most_excluded : float
-        Above this share of the groups in view left out, nothing is trusted: the status is ``alert``.
+        Where a larger share of the groups in view would be left out, the model is at fault and not they: all
+        are kept, and the status is ``alert``.
     keep_rows : int
         Nothing is left out that would leave fewer level rows than this.
     proof_s : float
-        An excluded group returns after its residuals were small for this long; doubled at every further exclusion.
+        An excluded group returns after its residuals were small for this long; doubled at every further
+        exclusion.
     proof_sigma : float
         What small means, in standard deviations of the residual.
     forget_s : float
@@ -55,7 +59,7 @@ class Policy:
     most_excluded: float = 0.4
     keep_rows: int = 4
     proof_s: float = 30.0
-    proof_sigma: float = 2.6
+    proof_sigma: float = 3.5
     forget_s: float = 300.0
     history: int = 80
     restart_s: float = 30.0
@@ -99,7 +103,8 @@ class Exclusion:
 class Decision:
     """What to leave out next, and from when on (`onset_ns` of this epoch: no repair of the past is needed).
 
-    `relax` instead: the measurements agree with each other and not with the prior, so the prior is what must go.
+    `relax` instead: the measurements agree with each other and not with the prior, so the prior is what must
+    go.
     """
 
     exclusions: tuple[Exclusion, ...] = ()
@@ -112,26 +117,28 @@ class Decision:
 def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous_ns: int) -> Decision:
     """Return what to leave out of an epoch that has an alert.
 
-    Where the rows contradict the prior and not each other, the motion or clock model is at fault: nothing is left out.
-    An abrupt fault is found in this epoch's innovations by the smallest consistent subset. Where these are consistent,
-    or a windowed monitor dates the fault before this epoch, its first suspect is followed back to its onset.
+    Where the rows contradict the prior and not each other, the motion or clock model is at fault: nothing is
+    left out. An abrupt fault is found in this epoch's innovations by the smallest consistent subset. Where
+    these are consistent, or a windowed monitor dates the fault before this epoch, its first suspect is
+    followed back to its onset.
     """
     if dynamics_failed(update, policy.p_fa):
         return Decision(relax=True)
     windowed = _windowed_suspect(verdicts)
     if windowed is not None and _is_old(windowed[1], update.t_ns, previous_ns):
-        return _from_suspect(update, *windowed)
+        return _from_suspect(update, *windowed, policy)
     found = _from_subsets(update, policy)
     if found.exclusions or windowed is None:
         return found
-    return _from_suspect(update, *windowed)
+    return _from_suspect(update, *windowed, policy)
 
 
 def dynamics_failed(update: Update, p_fa: float, block: tuple[str, ...] = COMMON) -> bool:
     """Tell whether an inconsistent epoch becomes consistent when the states common to all rows are free.
 
-    With the columns ``A`` of those states whitened, the free fit takes ``|proj_A n|^2`` from the statistic. A fault of a
-    single group explains as much with fewer unknowns, so the free fit must do clearly better than the best group.
+    With the columns ``A`` of those states whitened, the free fit takes ``|proj_A n|^2`` from the statistic. A
+    fault of a single group explains as much with fewer unknowns, so the free fit must do clearly better than
+    the best group.
     """
     total, dof = float(update.white @ update.white), len(update.keys) - update.consumed
     if dof <= 0 or total <= chi2_threshold(p_fa, dof):
@@ -148,6 +155,10 @@ def dynamics_failed(update: Update, p_fa: float, block: tuple[str, ...] = COMMON
     return not single.passed or free > single.explained + MARGIN
 
 
+def _levels(keys: Iterable[str]) -> int:
+    return sum(not is_rate(k) for k in keys)
+
+
 def _rows(update: Update) -> list[npt.NDArray[np.int64]]:
     return [r.astype(np.int64) for r in update.groups().values()]
 
@@ -157,19 +168,30 @@ def _is_old(suspect: Suspect, t_ns: int, previous_ns: int) -> bool:
 
 
 def _windowed_suspect(verdicts: Sequence[Verdict]) -> tuple[Verdict, Suspect] | None:
+    """Return the suspect that explains most (all explain in the same unit, twice a log-likelihood), and who
+    names it.
+    """
     alerts = [v for v in verdicts if v.status == "alert" and v.suspects]
-    bank = [v for v in alerts if v.dof == 1]
-    chosen = bank or sorted(alerts, key=lambda v: v.threshold - v.statistic)
-    return (chosen[0], chosen[0].suspects[0]) if chosen else None
+    chosen = max(alerts, key=lambda v: v.suspects[0].statistic, default=None)
+    return (chosen, chosen.suspects[0]) if chosen is not None else None
 
 
-def _from_suspect(update: Update, verdict: Verdict, suspect: Suspect) -> Decision:
+def _from_suspect(update: Update, verdict: Verdict, suspect: Suspect, policy: Policy) -> Decision:
     remaining = [k for k in update.keys if group_of(k) not in suspect.groups]
-    if len(remaining) < max(4, len(update.keys) // 2):
+    if 2 * len(remaining) < len(update.keys):
         return Decision(reason="the fault is common to most measurements: nothing can be left out")
+    if _levels(remaining) < policy.keep_rows:
+        return Decision(reason=TOO_FEW)
     exclusions = tuple(
         Exclusion(
-            update.t_ns, g, verdict.monitor, suspect.statistic, suspect.size, suspect.kind, suspect.onset_ns, verdict.ambiguous
+            update.t_ns,
+            g,
+            verdict.monitor,
+            suspect.statistic,
+            suspect.size,
+            suspect.kind,
+            suspect.onset_ns,
+            verdict.ambiguous,
         )
         for g in suspect.groups
     )
@@ -182,12 +204,20 @@ def _from_subsets(update: Update, policy: Policy) -> Decision:
     result = search(update.nu, update.L, _rows(update), update.consumed, policy.p_fa)
     if not result.removed:
         return Decision(reason="" if result.passed else "no subset of the measurements is consistent")
-    if len(names) - len(result.removed) < policy.keep_rows:
-        return Decision(reason="too few measurements would be left")
+    removed = {names[g] for g in result.removed}
+    if _levels(k for k in update.keys if group_of(k) not in removed) < policy.keep_rows:
+        return Decision(reason=TOO_FEW)
     sizes = _sizes(update, [groups[names[g]] for g in result.removed])
     exclusions = tuple(
         Exclusion(
-            update.t_ns, names[g], "subset", result.explained, size, "bias", update.t_ns, bool(result.alternatives)
+            update.t_ns,
+            names[g],
+            "subset",
+            result.explained,
+            size,
+            "bias",
+            update.t_ns,
+            bool(result.alternatives),
         )
         for g, size in zip(result.removed, sizes, strict=True)
     )
@@ -196,7 +226,9 @@ def _from_subsets(update: Update, policy: Policy) -> Decision:
 
 
 def _sizes(update: Update, rows: list[npt.NDArray[np.intp]]) -> list[float]:
-    """Return the bias of each group's first row, all rows of these groups estimated together: ``(V_JJ)^-1 z_J``."""
+    """Return the bias of each group's first row, all rows of these groups estimated together: ``(V_JJ)^-1
+    z_J``.
+    """
     together = np.concatenate(rows)
     columns = np.linalg.solve(update.S, np.eye(len(update.keys))[:, together])
     bias = np.linalg.lstsq(columns[together], columns.T @ update.nu, rcond=None)[0]
@@ -204,8 +236,12 @@ def _sizes(update: Update, rows: list[npt.NDArray[np.intp]]) -> list[float]:
     return [float(b) for b in bias[first]]
 
 
-def review(standing: dict[str, Standing], update: Update, present: frozenset[str], policy: Policy) -> dict[str, Standing]:
-    """Return the exclusions that go on after an update: groups that proved themselves, or are long gone, drop out."""
+def review(
+    standing: dict[str, Standing], update: Update, present: frozenset[str], policy: Policy
+) -> dict[str, Standing]:
+    """Return the exclusions that go on after an update: groups that proved themselves, or are long gone, drop
+    out.
+    """
     residual = _worst_residual(update)
     out = {}
     for group, s in standing.items():
@@ -223,7 +259,9 @@ def _worst_residual(update: Update) -> dict[str, float]:
     return worst
 
 
-def _reviewed(s: Standing, t_ns: int, residual: float | None, present: bool, policy: Policy) -> Standing | None:
+def _reviewed(
+    s: Standing, t_ns: int, residual: float | None, present: bool, policy: Policy
+) -> Standing | None:
     if residual is None:
         gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
         return None if gone else replace(s, clean_ns=None, seen_ns=t_ns if present else s.seen_ns)

@@ -1,6 +1,7 @@
 """The one driver: an epoch in, an outcome out. Running is a loop over `Pipeline.push`.
 
-Everything that changes sits in a `Checkpoint`, a value: keep it, pickle it, go on from it, with the same verdicts.
+Everything that changes sits in a `Checkpoint`, a value: keep it, pickle it, go on from it, with the same
+verdicts.
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ __all__ = ["Checkpoint", "Outcome", "Pipeline"]
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What a repair needs of one epoch: the state before it, the epoch, and who was left out."""
+    """What a repair needs of one epoch: the state before it, the epoch, who was left out, whether its prior
+    was relaxed.
+    """
 
     before: State
     epoch: Epoch
     excluded: frozenset[str]
+    relaxed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +48,8 @@ class Outcome:
     Parameters
     ----------
     status : str
-        ``alert`` where a monitor still alarms after exclusion, ``unavailable`` where none could test, else ``ok``.
+        ``alert`` where a monitor still alarms after exclusion, ``unavailable`` where none could test, else
+        ``ok``.
     updates : tuple of Update
         What was committed: the epoch's update, after those of the past that a repair made anew.
     rewound : int
@@ -125,10 +130,16 @@ class Pipeline:
             raise ValueError(f"epoch at {epoch.t_ns} ns is not after the last one at {now.state.t_ns} ns")
         first = self._attempt(now, epoch, {})
         last, exclusions, reason = self._resolve(now, epoch, first)
+        misfit, released = _misfit(last.updates[-1], self.policy), tuple(now.standing)
+        if misfit:
+            now = replace(now, standing={})
+            last, exclusions, reason = self._attempt(now, epoch, {}, last.history[-1].relaxed), (), misfit
         outcome, self.checkpoint = self._commit(now, epoch, first, last, exclusions, reason)
-        return outcome
+        return replace(outcome, readmitted=released) if misfit else outcome
 
-    def _resolve(self, now: Checkpoint, epoch: Epoch, attempt: _Attempt) -> tuple[_Attempt, tuple[Exclusion, ...], str]:
+    def _resolve(
+        self, now: Checkpoint, epoch: Epoch, attempt: _Attempt
+    ) -> tuple[_Attempt, tuple[Exclusion, ...], str]:
         """Exclude until no monitor alarms, nothing more can be left out, or the limit is reached."""
         made: tuple[Exclusion, ...] = ()
         reasons: list[str] = []
@@ -147,15 +158,20 @@ class Pipeline:
             made += new
             attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed)
         if _alert(attempt.verdicts) and made and all(e.monitor != "subset" for e in made):
-            reasons.append("leaving out " + "+".join(e.group for e in made) + " did not resolve the alert: undone")
+            reasons.append(
+                "leaving out " + "+".join(e.group for e in made) + " did not resolve the alert: undone"
+            )
             return self._attempt(now, epoch, {}, relaxed), (), join_reasons(reasons)
         return attempt, made, join_reasons(reasons)
 
-    def _attempt(self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False) -> _Attempt:
-        """Run the epoch without the groups in `since`, again from before the earliest onset where that is in the past.
+    def _attempt(
+        self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False
+    ) -> _Attempt:
+        """Run the epoch without the groups in `since`, again from before the earliest onset where that is in
+        the past.
 
-        The monitors begin anew at such a point: what they remembered was made with the faults in it. `relaxed` lets go
-        of what the dynamics say of the epoch itself.
+        The monitors begin anew at such a point: what they remembered was made with the faults in it.
+        `relaxed` lets go of what the dynamics say of the epoch itself.
         """
         margin = {g: max(epoch.t_ns - onset, 0) // 4 for g, onset in since.items()}
         left_out = {g: onset - margin[g] for g, onset in since.items()}
@@ -164,13 +180,15 @@ class Pipeline:
         again = now.history[start:]
         state = again[0].before if again else now.state
         memories: tuple[Any, ...] = tuple(m.start() for m in self.monitors) if again else now.memories
-        updates, history, verdicts = [], list(now.history[:start]), ()
-        for e, already in [(p.epoch, p.excluded) for p in again] + [(epoch, frozenset(now.standing))]:
+        updates, history = [], list(now.history[:start])
+        verdicts: tuple[Verdict, ...] = ()
+        past = [(p.epoch, p.excluded, p.relaxed) for p in again]
+        for e, already, free in [*past, (epoch, frozenset(now.standing), relaxed)]:
             out = already | {g for g, t_ns in left_out.items() if e.t_ns >= t_ns}
             prior = self.estimator.predict(state, e)
-            update = self.estimator.correct(self.estimator.relax(prior) if relaxed and e is epoch else prior, e, out)
+            update = self.estimator.correct(self.estimator.relax(prior) if free else prior, e, out)
             verdicts, memories = self._judge(memories, update)
-            history.append(Past(state, e, out))
+            history.append(Past(state, e, out, free))
             updates.append(update)
             state = update.posterior
         return _Attempt(tuple(updates), len(again), verdicts, memories, tuple(history))
@@ -180,7 +198,13 @@ class Pipeline:
         return tuple(v for v, _ in pairs), tuple(memory for _, memory in pairs)
 
     def _commit(
-        self, now: Checkpoint, epoch: Epoch, first: _Attempt, last: _Attempt, made: tuple[Exclusion, ...], reason: str
+        self,
+        now: Checkpoint,
+        epoch: Epoch,
+        first: _Attempt,
+        last: _Attempt,
+        made: tuple[Exclusion, ...],
+        reason: str,
     ) -> tuple[Outcome, Checkpoint]:
         update = last.updates[-1]
         counts = dict(now.counts)
@@ -191,12 +215,11 @@ class Pipeline:
         present = frozenset(k.partition(":")[0] for o in epoch.observations for k in o.keys)
         after = review(standing, update, present, self.policy)
         readmitted = tuple(g for g in standing if g not in after)
-        crowd = frozenset(after) & present
-        if len(crowd) > self.policy.most_excluded * max(len(present), 1):
-            reason = join_reasons([reason, f"{len(crowd)} of {len(present)} are left out: the model does not fit the data"])
         alert = _alert(last.verdicts) or bool(reason)
         since = (now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns) if alert else None
-        stuck = since is not None and (epoch.t_ns - since) * 1e-9 >= self.policy.restart_s and self.policy.exclude
+        stuck = (
+            since is not None and (epoch.t_ns - since) * 1e-9 >= self.policy.restart_s and self.policy.exclude
+        )
         checkpoint = Checkpoint(
             State.empty(epoch.t_ns) if stuck else update.posterior,
             last.memories,
@@ -206,12 +229,25 @@ class Pipeline:
             None if stuck else since,
         )
         if stuck:
-            reason = join_reasons([reason, f"alert unresolved for {self.policy.restart_s:.0f} s: the filter starts anew"])
+            reason = join_reasons(
+                [reason, f"alert unresolved for {self.policy.restart_s:.0f} s: the filter starts anew"]
+            )
         outcome = Outcome(
-            epoch.t_ns, _status(last.verdicts, alert), last.updates, last.rewound, last.verdicts, first.verdicts, made,
+            epoch.t_ns, _status(last.verdicts, alert), last.updates, last.rewound, last.verdicts,
+            first.verdicts, made,
             readmitted, reason or update.reason,
         )  # fmt: skip
         return outcome, checkpoint
+
+
+def _misfit(update: Update, policy: Policy) -> str:
+    """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for
+    it.
+    """
+    out, used = len(update.excluded), len(update.groups())
+    if not policy.exclude or out <= policy.most_excluded * (out + used):
+        return ""
+    return f"{out} of {out + used} would be left out: the model does not fit the data, all are kept"
 
 
 def _alert(verdicts: Sequence[Verdict]) -> bool:

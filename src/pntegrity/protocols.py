@@ -20,7 +20,9 @@ class Estimator(Protocol):
         ...
 
     def relax(self, prior: Prior) -> Prior:
-        """Return the prior without what its dynamics say of the states that the epoch's rows determine anew."""
+        """Return the prior without what its dynamics say of the states that the epoch's rows determine
+        anew.
+        """
         ...
 
     def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:

@@ -1,11 +1,12 @@
 """The values that flow from a sensor to a verdict.
 
-Everything here is immutable: frozen dataclasses whose arrays are made read-only when they are built. SI units and
-radians throughout; time is int nanoseconds of GPS time (``t_ns``), counted from the GPS epoch 1980-01-06.
+Everything here is immutable: frozen dataclasses whose arrays are made read-only when they are built. SI units
+and radians throughout; time is int nanoseconds of GPS time (``t_ns``), counted from the GPS epoch 1980-01-06.
 
-Symbols (the same everywhere): ``x'`` prior state, ``x`` posterior, ``P'``/``P`` their covariances, ``F`` transition from
-the previous posterior to this prior (rectangular: states are born and die), ``Q`` process noise, ``H`` Jacobian of the
-rows, ``R`` their covariance, ``nu = z - h(x')`` the innovation, ``S = H P' H^T + R`` its covariance, ``K`` the gain.
+Symbols (the same everywhere): ``x'`` prior state, ``x`` posterior, ``P'``/``P`` their covariances, ``F``
+transition from the previous posterior to this prior (rectangular: states are born and die), ``Q`` process
+noise, ``H`` Jacobian of the rows, ``R`` their covariance, ``nu = z - h(x')`` the innovation, ``S = H P' H^T +
+R`` its covariance, ``K`` the gain.
 """
 
 from __future__ import annotations
@@ -26,12 +27,15 @@ FloatArray = npt.NDArray[np.float64]
 Status = Literal["ok", "alert", "unavailable"]
 
 __all__ = [
-    "Epoch", "FloatArray", "Layout", "Observation", "Prior", "State", "Status", "Suspect", "Update", "Verdict", "group_of",
+    "Epoch", "FloatArray", "Layout", "Observation", "Prior", "State", "Status", "Suspect", "Update",
+    "Verdict", "group_of",
 ]  # fmt: skip
 
 
 def group_of(key: str) -> str:
-    """Return what fails together with a row: the part of its key before the first colon (``"G05:C1C"`` -> ``"G05"``)."""
+    """Return what fails together with a row: the part of its key before the first colon (``"G05:C1C"`` ->
+    ``"G05"``).
+    """
     return key.partition(":")[0]
 
 
@@ -64,7 +68,8 @@ class Observation:
     sigma : ndarray, shape (n,), optional
         Standard deviations that the source itself declares; None where the noise model decides.
     aux : mapping of str to ndarray
-        What the sensor's model needs beside the state, first axis the row (satellite position, clock, C/N0, ...).
+        What the sensor's model needs beside the state, first axis the row (satellite position, clock, C/N0,
+        ...).
     """
 
     sensor: str
@@ -80,7 +85,9 @@ class Observation:
             _freeze(self, "sigma")
         object.__setattr__(self, "aux", MappingProxyType(dict(self.aux)))
         if len(self.keys) != len(self.y) or any(len(v) != len(self.y) for v in self.aux.values()):
-            raise ValueError(f"`keys`, `y` and every `aux` of sensor {self.sensor!r} must have the same length")
+            raise ValueError(
+                f"`keys`, `y` and every `aux` of sensor {self.sensor!r} must have the same length"
+            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self.sensor, self.t_ns, self.keys, self.y, self.sigma, dict(self.aux)))
@@ -113,7 +120,9 @@ class Epoch:
 
 @lru_cache(maxsize=1024)
 def _block(names: tuple[str, ...], prefix: str) -> npt.NDArray[np.intp]:
-    hits = np.array([i for i, n in enumerate(names) if n == prefix or n.startswith(prefix + ":")], dtype=np.intp)
+    hits = np.array(
+        [i for i, n in enumerate(names) if n == prefix or n.startswith(prefix + ":")], dtype=np.intp
+    )
     hits.flags.writeable = False
     return hits
 
@@ -150,7 +159,9 @@ class State:
         _freeze(self, "mean", "P")
         n = len(self.layout)
         if self.mean.shape != (n,) or self.P.shape != (n, n):
-            raise ValueError(f"`mean` {self.mean.shape} and `P` {self.P.shape} do not fit a layout of {n} states")
+            raise ValueError(
+                f"`mean` {self.mean.shape} and `P` {self.P.shape} do not fit a layout of {n} states"
+            )
 
     @staticmethod
     def empty(t_ns: int = 0) -> State:
@@ -170,9 +181,9 @@ class State:
 class Prior:
     """A prediction: the prior state and the linear step that made it, ``x' = F x + w``, ``w ~ N(0, Q)``.
 
-    `consumed` counts the states initialised from this epoch's own data: each takes a degree of freedom from a test of
-    this epoch. `events` tells in words what happened (a start, a clock jump, a gap). `context` is what the estimator
-    hands to its own `correct` so that nothing is computed twice.
+    `consumed` counts the states initialised from this epoch's own data: each takes a degree of freedom from a
+    test of this epoch. `events` tells in words what happened (a start, a clock jump, a gap). `context` is
+    what the estimator hands to its own `correct` so that nothing is computed twice.
     """
 
     state: State
@@ -241,7 +252,12 @@ class Update:
 
     @staticmethod
     def of(
-        prior: Prior, keys: tuple[str, ...], nu: npt.ArrayLike, H: npt.ArrayLike, R: npt.ArrayLike, **facts: Any
+        prior: Prior,
+        keys: tuple[str, ...],
+        nu: npt.ArrayLike,
+        H: npt.ArrayLike,
+        R: npt.ArrayLike,
+        **facts: Any,
     ) -> Update:
         """Use rows on a prior: the measurement update of a Kalman filter.
 
@@ -301,7 +317,8 @@ class Update:
         nu : array_like, shape (m,)
             Innovation, measured minus predicted.
         keys : tuple of str, optional
-            Names of the rows, ``"<what fails together>:<signal>"``; ``"z0:L"``, ``"z1:L"``, ... where not given.
+            Names of the rows, ``"<what fails together>:<signal>"``; ``"z0:L"``, ``"z1:L"``, ... where not
+            given.
         states : tuple of str, optional
             Names of the states; ``"pos:0"``, ``"pos:1"``, ... where not given.
 
@@ -310,9 +327,15 @@ class Update:
         ValueError
             Where shapes do not fit, with the shapes.
         """
-        nu_, P = np.atleast_1d(np.asarray(nu, dtype=np.float64)).ravel(), np.asarray(P_prior, dtype=np.float64)
+        nu_, P = (
+            np.atleast_1d(np.asarray(nu, dtype=np.float64)).ravel(),
+            np.asarray(P_prior, dtype=np.float64),
+        )
         m, n = len(nu_), len(P)
-        H_, R_ = np.atleast_2d(np.asarray(H, dtype=np.float64)), np.atleast_2d(np.asarray(R, dtype=np.float64))
+        H_, R_ = (
+            np.atleast_2d(np.asarray(H, dtype=np.float64)),
+            np.atleast_2d(np.asarray(R, dtype=np.float64)),
+        )
         if H_.shape != (m, n) or R_.shape != (m, m):
             raise ValueError(f"`H` {H_.shape} and `R` {R_.shape} do not fit {m} rows and {n} states")
         names = Layout(states or tuple(f"pos:{i}" for i in range(n)))
@@ -345,8 +368,11 @@ class Update:
         """Whitened innovation ``L^-1 nu``: independent unit normals under the null hypothesis, shape (m,)."""
         return frozen(whiten(self.L, self.nu))
 
-    def with_spares(self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, variance: FloatArray) -> Update:
-        """Return the update with rows that were left out: their residuals against the posterior and their variances.
+    def with_spares(
+        self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, variance: FloatArray
+    ) -> Update:
+        """Return the update with rows that were left out: their residuals against the posterior and their
+        variances.
 
         Parameters
         ----------
@@ -357,7 +383,11 @@ class Update:
         step = self.posterior.mean - self.prior.mean
         spread = variance + np.einsum("ij,jk,ik->i", H, self.posterior.P, H)
         out = replace(
-            self, spare_keys=keys, spare_nu=nu - H @ step, spare_var=spread, excluded=tuple(dict.fromkeys(map(group_of, keys)))
+            self,
+            spare_keys=keys,
+            spare_nu=nu - H @ step,
+            spare_var=spread,
+            excluded=tuple(dict.fromkeys(map(group_of, keys))),
         )
         out.__dict__.update({n: self.__dict__[n] for n in ("S", "L", "K") if n in self.__dict__})
         return out
@@ -372,7 +402,9 @@ class Update:
 
 @dataclass(frozen=True)
 class Suspect:
-    """Who may be at fault, and how: `kind` ``"bias"`` (size in units of the row) or ``"ramp"`` (units per second)."""
+    """Who may be at fault, and how: `kind` ``"bias"`` (size in units of the row) or ``"ramp"`` (units per
+    second).
+    """
 
     groups: tuple[str, ...]
     kind: str
@@ -385,10 +417,10 @@ class Suspect:
 class Verdict:
     """What one monitor says of one epoch.
 
-    `status` is three-valued: ``unavailable`` (no test possible, with the `reason`) is never ``ok``. `statistic` and
-    `threshold` are finite where a test was made and 0 otherwise; `p_fa` is the probability of a false alarm that the
-    threshold stands for; `suspects` are ordered, the most likely first; `ambiguous` tells that the data do not
-    single out the first.
+    `status` is three-valued: ``unavailable`` (no test possible, with the `reason`) is never ``ok``.
+    `statistic` and `threshold` are finite where a test was made and 0 otherwise; `p_fa` is the probability of
+    a false alarm that the threshold stands for; `suspects` are ordered, the most likely first; `ambiguous`
+    tells that the data do not single out the first.
     """
 
     monitor: str

@@ -35,7 +35,9 @@ def named_monitors(names: str, p_fa: float, variant: str, noise: Path | None) ->
     out = []
     for name in (n.strip() for n in names.split(",") if n.strip()):
         if name not in discover():
-            raise InputError(f"no monitor is called {name!r}", hint=f"There are {', '.join(sorted(discover()))}")
+            raise InputError(
+                f"no monitor is called {name!r}", hint=f"There are {', '.join(sorted(discover()))}"
+            )
         if not 0.0 < p_fa < 0.5:
             raise InputError(f"--p-fa {p_fa} is not a probability between 0 and 0.5")
         out.append(make_monitor(name, p_fa, variant, model))
@@ -44,8 +46,12 @@ def named_monitors(names: str, p_fa: float, variant: str, noise: Path | None) ->
     return tuple(out)
 
 
-def monitored(entries: Iterable[tuple[Update, int]], monitors: Sequence[Monitor]) -> Iterable[tuple[Update, list[Verdict]]]:
-    """Yield every committed update with its verdicts; where a repair replaced the past, memories begin anew as they did."""
+def monitored(
+    entries: Iterable[tuple[Update, int]], monitors: Sequence[Monitor]
+) -> Iterable[tuple[Update, list[Verdict]]]:
+    """Yield every committed update with its verdicts; where a repair replaced the past, memories begin anew
+    as they did.
+    """
     memories: list[Any] = [m.start() for m in monitors]
     for update, rewound in entries:
         if rewound:
@@ -56,7 +62,9 @@ def monitored(entries: Iterable[tuple[Update, int]], monitors: Sequence[Monitor]
 
 
 def replay(
-    path: Path, monitors: Sequence[Monitor], progress: Callable[[str, int, int], None] = lambda stage, done, total: None
+    path: Path,
+    monitors: Sequence[Monitor],
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> list[Verdict]:
     """Return the verdicts of monitors on a record."""
     record = read_record(path)
@@ -79,14 +87,18 @@ def replay_table(verdicts: Sequence[Verdict]) -> Table:
     """Return a line a monitor: how often it tested and alarmed, and its worst ratio to the threshold."""
     from rich.table import Table
 
-    table = Table("monitor", "variant", "tests", "alarms", "unavailable", "worst ratio", "at", box=None, pad_edge=False)
+    table = Table(
+        "monitor", "variant", "tests", "alarms", "unavailable", "worst ratio", "at", box=None, pad_edge=False
+    )
     for name in dict.fromkeys(v.monitor for v in verdicts):
         own = [v for v in verdicts if v.monitor == name]
         tests = [v for v in own if v.status != "unavailable"]
         worst = max(tests, key=lambda v: v.statistic / v.threshold, default=None)
         table.add_row(
-            name, own[0].variant, str(len(tests)), str(sum(v.status == "alert" for v in tests)), str(len(own) - len(tests)),
-            f"{worst.statistic / worst.threshold:.2f}" if worst else "-", _clock(worst.t_ns) if worst else "-",
+            name, own[0].variant, str(len(tests)), str(sum(v.status == "alert" for v in tests)),
+            str(len(own) - len(tests)),
+            f"{worst.statistic / worst.threshold:.2f}" if worst else "-",
+            _clock(worst.t_ns) if worst else "-",
         )  # fmt: skip
     return table
 

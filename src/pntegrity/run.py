@@ -71,7 +71,9 @@ def _time(text: str | None, table: SignalTable) -> int | None:
     try:
         return from_iso(text)
     except ValueError as error:
-        raise InputError(f"{text!r} is neither seconds from the start nor a time like 2019-01-14T06:20:00") from error
+        raise InputError(
+            f"{text!r} is neither seconds from the start nor a time like 2019-01-14T06:20:00"
+        ) from error
 
 
 def run(config: RunConfig, progress: Progress = _silent) -> RunResult:
@@ -93,7 +95,8 @@ def run(config: RunConfig, progress: Progress = _silent) -> RunResult:
 def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None = None) -> GnssOptions:
     """Return the estimator's options."""
     return GnssOptions(
-        noise=noise or config.noise_model(), mask_rad=float(np.deg2rad(config.mask_deg)), klobuchar=loaded.klobuchar,
+        noise=noise or config.noise_model(), mask_rad=float(np.deg2rad(config.mask_deg)),
+        klobuchar=loaded.klobuchar,
         doppler=config.doppler,
     )  # fmt: skip
 
@@ -104,7 +107,9 @@ def pipeline_for(config: RunConfig, loaded: GnssEpochs) -> Pipeline:
     return Pipeline(estimator, config.build_monitors(), Policy(exclude=config.exclude, p_fa=config.p_fa))
 
 
-def _loop(pipeline: Pipeline, epochs: Sequence[Epoch], progress: Progress) -> tuple[tuple[Outcome, ...], bool]:
+def _loop(
+    pipeline: Pipeline, epochs: Sequence[Epoch], progress: Progress
+) -> tuple[tuple[Outcome, ...], bool]:
     outcomes: list[Outcome] = []
     try:
         for i, epoch in enumerate(epochs):
@@ -142,18 +147,24 @@ def _truth(config: RunConfig, t_ns: list[int]) -> FloatArray | None:
 def blind_spots(estimator: str, noise: NoiseModel) -> tuple[str, ...]:
     """Say what the noise model and the estimator hide from every monitor, with figures."""
     if estimator == "spp":
-        return ("Every epoch stands alone: a fault is seen only by its contradiction to the other satellites of that epoch.",)
+        return (
+            "Every epoch stands alone: a fault is seen only by its contradiction to the other satellites of "
+            "that epoch.",
+        )
     spots = []
     if noise.code_bias_m > 0.0:
         rate = noise.code_bias_m * np.sqrt(2.0 / noise.code_bias_tau_s)
         spots.append(
-            f"A code error that was there when a satellite rose is taken for its bias (sigma {noise.code_bias_m:g} m): up to"
-            f" about {3.0 * noise.code_bias_m:.0f} m goes unseen. Slow growth is followed by the bias state, which may walk"
+            "A code error that was there when a satellite rose is taken for its bias (sigma "
+            f"{noise.code_bias_m:g} m): up to"
+            f" about {3.0 * noise.code_bias_m:.0f} m goes unseen. Slow growth is followed by the bias state, "
+            "which may walk"
             f" {rate:.2f} m in 1 s and {rate * np.sqrt(60.0):.2f} m in 60 s."
         )
     if noise.code_multipath_m > 0.0:
         spots.append(
-            f"Multipath is expected ({noise.code_multipath_m:g} m / sin(elevation) over {noise.code_multipath_tau_s:g} s):"
+            f"Multipath is expected ({noise.code_multipath_m:g} m / sin(elevation) over "
+            f"{noise.code_multipath_tau_s:g} s):"
             " errors of that size and duration are not faults."
         )
     spots.append("An error that all satellites share is the receiver's clock, for every monitor.")

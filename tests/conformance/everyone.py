@@ -8,8 +8,8 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
-from gnss_logs import LinearFilter, log, navigation, only, options, without
 
+from gnss_logs import LinearFilter, log, navigation, only, options, without
 from pntegrity import estimators, monitors
 from pntegrity.exclusion import Policy
 from pntegrity.pipeline import Outcome, Pipeline
@@ -50,17 +50,21 @@ def source(name: str) -> Source:
 
 
 def gnss_source(name: str) -> Source:
-    """GPS and Galileo: a jump, a ramp, two satellites at once, a fault of all, an outage, a gap, risings and settings."""
+    """GPS and Galileo: a jump, a ramp, two satellites at once, a fault of all, an outage, a gap, risings and
+    settings.
+    """
     epochs = log(
-        95, "G07 bias 30 m 12:20", "E19 ramp 0.6 m/s 30:45", "G10 bias 50 m 52:58", "E16 bias -60 m 52:58",
+        95, "G07 bias 30 m 12:20", "E19 ramp 0.15 m/s 30:48", "G10 bias 50 m 52:58", "E16 bias -60 m 52:58",
         "G* bias 25 m 66:70",
     )  # fmt: skip
     shown = []
     for k, e in enumerate(epochs):
         e = without(e, ["G05"]) if k < 8 else e  # rises late
         e = without(e, ["E21"]) if k > 48 else e  # sets
-        e = without(e, [g for g in all_groups(e) if g[0] == "E"]) if k < 3 else e  # a whole constellation comes
-        e = only(e, ["G05", "G24", "E04"]) if 74 <= k < 77 else e
+        e = (
+            without(e, [g for g in all_groups(e) if g[0] == "E"]) if k < 3 else e
+        )  # a whole constellation comes
+        e = only(e, ["G05", "G24", "E16"] if k < 76 else []) if 73 <= k < 77 else e
         if k not in (82, 83, 84):
             shown.append(e)
     cls = estimators.discover()[name]
@@ -72,11 +76,13 @@ def all_groups(epoch: Epoch) -> set[str]:
 
 
 def linear_source() -> Source:
-    """The 8-state filter: a jump, a ramp, two satellites at once, an epoch without rows, two satellites that come late."""
+    """The 8-state filter: a jump, a ramp, two satellites at once, an epoch without rows, two satellites that
+    come late.
+    """
     model = spp_model(9)
     rows = np.zeros((90, 18))
     rows[12:20, 2] = 40.0
-    rows[30:50, 5] = 1.5 * np.arange(20)
+    rows[30:50, 5] = 0.5 * np.arange(20)
     rows[60:66, [1, 6]] = 60.0, -80.0
     epochs, _ = linear_epochs(model, 90, np.random.default_rng(5), Disturbance(rows=rows))
     shown = [without(e, ["G08", "G09"]) if k < 9 else e for k, e in enumerate(epochs)]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from gnss_logs import fingerprint
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -90,17 +91,28 @@ def test_no_order_of_rows_matters(which, where):
     for a, b in zip(stepped(monitor, updates(where)), stepped(monitor, mixed), strict=True):
         one, two = a[2], b[2]
         assert one.status == two.status
-        assert two.statistic == pytest.approx(one.statistic, rel=1e-6, abs=1e-9)
+        assert two.statistic == pytest.approx(one.statistic, rel=rounding(a[1]), abs=1e-9)
         assert two.threshold == pytest.approx(one.threshold, rel=1e-9)
-        if len(one.suspects) == 1 or (one.suspects and one.suspects[0].statistic - one.suspects[1].statistic > 1e-6):
+        if len(one.suspects) == 1 or (
+            one.suspects and one.suspects[0].statistic - one.suspects[1].statistic > 1e-6
+        ):
             assert sorted(two.suspect_groups) == sorted(one.suspect_groups)
+
+
+def rounding(update: Update) -> float:
+    """Return by how much a statistic may move when sums are taken in another order: what `S` makes of a unit
+    in the last place.
+    """
+    return max(1e-7, 1e-15 * float(np.linalg.cond(update.S))) if update.keys else 0.0
 
 
 def permuted(update: Update, rng: np.random.Generator) -> Update:
     i = rng.permutation(len(update.keys))
     keys = tuple(update.keys[k] for k in i)
     aux = {name: values[i] for name, values in update.aux.items()}
-    return dataclasses.replace(update, keys=keys, nu=update.nu[i], H=update.H[i], R=update.R[np.ix_(i, i)], aux=aux)
+    return dataclasses.replace(
+        update, keys=keys, nu=update.nu[i], H=update.H[i], R=update.R[np.ix_(i, i)], aux=aux
+    )
 
 
 @every_monitor
@@ -116,12 +128,11 @@ def test_without_rows_no_test_is_possible(which):
 
 
 @every_monitor
-@every_source
-def test_memory_stays_bounded(which, where):
+def test_memory_stays_bounded(which):
     monitor = build(*which)
     model = spp_model(6)
-    sizes = [len(pickle.dumps(after)) for *_, after in stepped(monitor, gains(model, 300))]
-    assert max(sizes[150:]) <= 1.05 * max(sizes[:150])
+    sizes = [len(pickle.dumps(after)) for *_, after in stepped(monitor, gains(model, 200))]
+    assert max(sizes[130:]) <= 1.05 * max(sizes[:130])
 
 
 @every_monitor
@@ -136,9 +147,12 @@ def test_a_monitor_is_a_frozen_value(which):
 
 
 BAD = [
-    ("p_fa", 0.0), ("p_fa", 0.5), ("p_fa", -1e-3), ("p_fa", float("nan")), ("p_fa", "1e-6"), ("factor", 0.0), ("factor", -2.0),
-    ("factor", float("inf")), ("factor", float("nan")), ("factor", None), ("variant", "exactly"), ("variant", ""),
-    ("window", 0), ("window", -3), ("window", 2.5), ("window", "5"), ("window", True), ("longest", 7), ("longest", 64.0), ("block", 3),
+    ("p_fa", 0.0), ("p_fa", 0.5), ("p_fa", -1e-3), ("p_fa", float("nan")), ("p_fa", "1e-6"), ("factor", 0.0),
+    ("factor", -2.0),
+    ("factor", float("inf")), ("factor", float("nan")), ("factor", None), ("variant", "exactly"),
+    ("variant", ""),
+    ("window", 0), ("window", -3), ("window", 2.5), ("window", "5"), ("window", True), ("longest", 7),
+    ("longest", 64.0), ("block", 3),
 ]  # fmt: skip
 
 
@@ -151,7 +165,17 @@ def test_an_impossible_option_is_refused_by_its_name(field, value):
             cls(**{field: value})
 
 
-PARTS = ("Hypothes", "Statistic:", "Threshold:", "Memory:", "cannot see", "Parameters\n", "References\n", "Examples\n", ">>> ")
+PARTS = (
+    "Hypothes",
+    "Statistic:",
+    "Threshold:",
+    "Memory:",
+    "cannot see",
+    "Parameters\n",
+    "References\n",
+    "Examples\n",
+    ">>> ",
+)
 
 
 @pytest.mark.parametrize("name", sorted(monitors.discover()))
@@ -176,7 +200,9 @@ def test_plug_ins_do_not_import_their_siblings(package):
 def test_an_exact_monitor_keeps_its_false_alarm_rate(name):
     # 20 runs of 1000 epochs; the interval allows for overlapping windows
     monitor = build(name, p_fa=1e-2)
-    low, high = count_alarms(plans(gains(spp_model(8), 150), monitor), 200, np.random.default_rng(11)).interval(0.999)
+    low, high = count_alarms(
+        plans(gains(spp_model(8), 150), monitor), 200, np.random.default_rng(11)
+    ).interval(0.999)
     assert low <= 1e-2
     assert high >= (1e-2 / 3.0 if name == "glr" else 1e-2)
 

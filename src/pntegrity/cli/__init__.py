@@ -10,7 +10,9 @@ import click
 from pntegrity import __version__
 
 for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")  # before numpy is imported: small matrices run far slower on many threads
+    os.environ.setdefault(
+        _name, "1"
+    )  # before numpy is imported: small matrices run far slower on many threads
 
 COMMANDS = {
     "run": "Monitor a real log: RINEX in, verdicts, exclusions and a report out.",
@@ -51,7 +53,7 @@ def main() -> None:
     from pntegrity.errors import InputError
 
     try:
-        code = cli.main(standalone_mode=False)
+        code = cli.main(prog_name="pntegrity", standalone_mode=False)
     except InputError as error:
         click.echo(f"pntegrity: {error}", err=True)
         code = 2

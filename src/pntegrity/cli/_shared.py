@@ -15,26 +15,46 @@ if TYPE_CHECKING:
 Command = Callable[..., Any]
 
 INPUT = [
-    click.option("--obs", type=click.Path(path_type=Path), help="RINEX 2/3/4 observation file (.gz and CRINEX too)."),
-    click.option("--nav", type=click.Path(path_type=Path), multiple=True, help="RINEX navigation file; repeatable."),
-    click.option("--config", type=click.Path(path_type=Path), help="TOML file with any of these options; options win."),
+    click.option(
+        "--obs", type=click.Path(path_type=Path), help="RINEX 2/3/4 observation file (.gz and CRINEX too)."
+    ),
+    click.option(
+        "--nav", type=click.Path(path_type=Path), multiple=True, help="RINEX navigation file; repeatable."
+    ),
+    click.option(
+        "--config", type=click.Path(path_type=Path), help="TOML file with any of these options; options win."
+    ),
     click.option("--estimator", help="spp (snapshot) or spp_kf (Kalman filter).  [spp_kf]"),
     click.option("--mask-deg", type=float, help="Elevation mask, degrees.  [10]"),
     click.option("--systems", help="Constellations: G GPS, R GLONASS, E Galileo, C BDS, J QZSS.  [GREC]"),
-    click.option("--ionosphere-free/--single-frequency", default=None, help="Combine two frequencies.  [single]"),
+    click.option(
+        "--ionosphere-free/--single-frequency", default=None, help="Combine two frequencies.  [single]"
+    ),
     click.option("--doppler/--no-doppler", default=None, help="Use range rates where present.  [yes]"),
-    click.option("--noise", type=click.Path(path_type=Path), help="Noise model written by `pntegrity calibrate`."),
-    click.option("--start", help="First epoch: seconds from the start, or GPS time like 2019-01-14T06:20:00."),
+    click.option(
+        "--noise", type=click.Path(path_type=Path), help="Noise model written by `pntegrity calibrate`."
+    ),
+    click.option(
+        "--start", help="First epoch: seconds from the start, or GPS time like 2019-01-14T06:20:00."
+    ),
     click.option("--end", help="Last epoch."),
 ]
 MONITORING = [
     click.option("--monitors", help="Comma-separated: rctm,srctm,aime,sraime,glr.  [all]"),
-    click.option("--variant", type=click.Choice(["exact", "published"]), help="Exact covariances, or the papers'.  [exact]"),
-    click.option("--p-fa", type=float, help="Probability of a false alarm of each monitor, an epoch.  [1e-6]"),
+    click.option(
+        "--variant",
+        type=click.Choice(["exact", "published"]),
+        help="Exact covariances, or the papers'.  [exact]",
+    ),
+    click.option(
+        "--p-fa", type=float, help="Probability of a false alarm of each monitor, an epoch.  [1e-6]"
+    ),
     click.option("--exclude/--no-exclude", default=None, help="Leave suspects out, repair, re-admit.  [yes]"),
     click.option("--truth-ecef", help="True position X,Y,Z of a static receiver, metres."),
     click.option("--truth", type=click.Path(path_type=Path), help="True positions: CSV or RTKLIB .pos."),
-    click.option("--fault", "faults", multiple=True, help='Inject a fault, "G05 ramp 0.1 m/s 200:300"; repeatable.'),
+    click.option(
+        "--fault", "faults", multiple=True, help='Inject a fault, "G05 ramp 0.1 m/s 200:300"; repeatable.'
+    ),
 ]
 
 
@@ -66,7 +86,9 @@ def build_config(values: dict[str, Any]) -> RunConfig:
     merged |= given
     for name in ("obs", "nav"):
         if not merged.get(name):
-            raise InputError(f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config")
+            raise InputError(
+                f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config"
+            )
     return make_config(merged)
 
 
@@ -93,7 +115,12 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None)
         yield lambda stage, done, total: bar.update(task, description=stage, completed=done, total=total)

@@ -10,10 +10,14 @@ import click
 from pntegrity.cli._shared import INPUT, build_config, options, progress_bar
 
 
-@click.command("calibrate", help="Fit the noise model to the first part of a receiver's log and judge it on the rest.")
+@click.command(
+    "calibrate", help="Fit the noise model to the first part of a receiver's log and judge it on the rest."
+)
 @options(INPUT)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Noise file to write (TOML).")
-@click.option("--split", type=click.FloatRange(0.1, 0.9), default=0.5, show_default=True, help="Share that is fitted.")
+@click.option(
+    "--split", type=click.FloatRange(0.1, 0.9), default=0.5, show_default=True, help="Share that is fitted."
+)
 def command(out: Path, split: float, **values: Any) -> int:
     """Calibrate from options."""
     from rich.console import Console
@@ -28,7 +32,8 @@ def command(out: Path, split: float, **values: Any) -> int:
     loaded = load_epochs(config)
     with progress_bar() as progress:
         result = calibrate(
-            loaded.epochs, options_for(config, loaded), lambda p, noise: config.build_monitors(p, noise), split=split,
+            loaded.epochs, options_for(config, loaded), lambda p, noise: config.build_monitors(p, noise),
+            split=split,
             p_fa=config.p_fa, progress=lambda what, done: progress(what, int(100 * done), 100),
         )  # fmt: skip
     write_text(out, write_noise(result.noise, calibration_facts(result)))

@@ -7,8 +7,16 @@ from pathlib import Path
 import click
 
 
-@click.command("demo", help="The main job on a small embedded scenario with known faults; works offline, in seconds.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("demo-results"), show_default=True, help="Results folder.")
+@click.command(
+    "demo", help="The main job on a small embedded scenario with known faults; works offline, in seconds."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("demo-results"),
+    show_default=True,
+    help="Results folder.",
+)
 def command(out: Path) -> int:
     """Run the embedded scenario."""
     from pntegrity.cli.run import execute

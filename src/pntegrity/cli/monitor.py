@@ -9,12 +9,18 @@ import click
 
 @click.command("monitor", help="Run monitors again on a recorded run (updates.npz), without the raw data.")
 @click.argument("record", type=click.Path(path_type=Path))
-@click.option("--monitors", default="rctm,srctm,aime,sraime,glr", show_default=True, help="Comma-separated names.")
+@click.option(
+    "--monitors", default="rctm,srctm,aime,sraime,glr", show_default=True, help="Comma-separated names."
+)
 @click.option("--variant", type=click.Choice(["exact", "published"]), default="exact", show_default=True)
-@click.option("--p-fa", type=float, default=1e-6, show_default=True, help="Probability of a false alarm, an epoch.")
+@click.option(
+    "--p-fa", type=float, default=1e-6, show_default=True, help="Probability of a false alarm, an epoch."
+)
 @click.option("--noise", type=click.Path(path_type=Path), help="Noise file whose threshold factors are used.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write the verdicts to this Parquet file.")
-def command(record: Path, monitors: str, variant: str, p_fa: float, noise: Path | None, out: Path | None) -> int:
+def command(
+    record: Path, monitors: str, variant: str, p_fa: float, noise: Path | None, out: Path | None
+) -> int:
     """Replay a record."""
     from rich.console import Console
 

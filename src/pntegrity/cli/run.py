@@ -15,14 +15,21 @@ if TYPE_CHECKING:
 
 @click.command("run", help="Monitor a real log: RINEX in, verdicts, exclusions and a report out.")
 @options(INPUT, MONITORING)
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the results; made where missing.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for the results; made where missing.",
+)
 def command(out: Path, **values: Any) -> int:
     """Run from options."""
     return execute(build_config(values), out)
 
 
 def execute(config: RunConfig, out: Path) -> int:
-    """Run a configuration, write its results, print the table; return the exit status (130 after an interrupt)."""
+    """Run a configuration, write its results, print the table; return the exit status (130 after an
+    interrupt).
+    """
     from rich.console import Console
 
     from pntegrity.config import to_toml

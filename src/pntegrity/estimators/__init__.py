@@ -1,7 +1,7 @@
 """From epochs to updates. One estimator a module.
 
-A module of this folder that holds a class with `predict` and `correct` is an estimator of the module's name: nothing
-else lists it.
+A module of this folder that holds a class with `predict` and `correct` is an estimator of the module's name:
+nothing else lists it.
 """
 
 from __future__ import annotations

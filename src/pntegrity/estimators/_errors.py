@@ -1,7 +1,9 @@
-"""The slow errors of each satellite's code as Gauss-Markov states: a bias, and multipath behind the receiver's smoothing.
+"""The slow errors of each satellite's code as Gauss-Markov states: a bias, and multipath behind the
+receiver's smoothing.
 
-``bias:KEY`` is first order. ``mp:KEY`` is first order too, or second order where the receiver smooths its code: then it is
-driven by ``mpin:KEY``, the multipath before smoothing. All start in their stationary distribution.
+``bias:KEY`` is first order. ``mp:KEY`` is first order too, or second order where the receiver smooths its
+code: then it is driven by ``mpin:KEY``, the multipath before smoothing. All start in their stationary
+distribution.
 """
 
 from __future__ import annotations

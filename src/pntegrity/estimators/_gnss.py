@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from pntegrity.physics.atmosphere import klobuchar_m, troposphere_m
 from pntegrity.physics.frames import elevation_azimuth
+from pntegrity.physics.tables import Klobuchar
 from pntegrity.records import Epoch, FloatArray, Observation
 from pntegrity.sensors.gnss import geometry, range_rate
 from pntegrity.sensors.noise import NoiseModel
@@ -26,7 +27,7 @@ class GnssOptions:
     noise : NoiseModel
     mask_rad : float
         Elevation mask.
-    klobuchar : object, optional
+    klobuchar : Klobuchar, optional
         Broadcast ionosphere coefficients, as `formats` gives them; None: no ionosphere model.
     doppler : bool
         Whether range rates are used.
@@ -36,7 +37,7 @@ class GnssOptions:
 
     noise: NoiseModel = field(default_factory=NoiseModel)
     mask_rad: float = float(np.deg2rad(10.0))
-    klobuchar: object | None = None
+    klobuchar: Klobuchar | None = None
     doppler: bool = True
     max_gap_s: float = 120.0
 
@@ -45,8 +46,8 @@ class GnssOptions:
 class Rows:
     """Code or range-rate rows at a position, all of shape (n,) or (n, 3).
 
-    `predicted` is what the row would read with perfect clocks: geometry, satellite clock, atmosphere. `scale` and `slow`
-    say how much larger than at the zenith its fast and slow errors are.
+    `predicted` is what the row would read with perfect clocks: geometry, satellite clock, atmosphere. `scale`
+    and `slow` say how much larger than at the zenith its fast and slow errors are.
     """
 
     keys: tuple[str, ...]
@@ -63,7 +64,8 @@ class Rows:
         """Return only some rows."""
         return Rows(
             tuple(k for k, r in zip(self.keys, rows, strict=True) if r), self.y[rows], self.predicted[rows],
-            self.los[rows], self.scale[rows], self.slow[rows], self.el_rad[rows], self.az_rad[rows], self.cn0_dbhz[rows],
+            self.los[rows], self.scale[rows], self.slow[rows], self.el_rad[rows], self.az_rad[rows],
+            self.cn0_dbhz[rows],
         )  # fmt: skip
 
 
@@ -78,8 +80,8 @@ def code_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> Row
         if options.klobuchar is not None:
             delay = klobuchar_m(options.klobuchar, position_m, el, az, o.t_ns, o.aux["freq_hz"])
             predicted = predicted + o.aux["iono_factor"] * delay
-    factor = options.noise.code_factor(o.keys)
-    rows = _rows(o, predicted, g.los, el, az, options.noise, factor)
+    noise = options.noise
+    rows = _rows(o, predicted, g.los, el, az, noise, noise.code_factor(o.keys), noise.bias_factor(o.keys))
     return rows.select(el >= options.mask_rad) if on_ground else rows
 
 
@@ -91,7 +93,8 @@ def rate_rows(epoch: Epoch, position_m: FloatArray, velocity_mps: FloatArray, op
     g = geometry(position_m, o.aux["sv_pos_m"])
     el, az, on_ground = _angles(position_m, g.los)
     rate = range_rate(velocity_mps, position_m, o.aux["sv_pos_m"], o.aux["sv_vel_mps"], g.los)
-    rows = _rows(o, rate - o.aux["sv_clk_rate_mps"], g.los, el, az, options.noise, options.noise.rate_factor(o.keys))
+    factor = options.noise.rate_factor(o.keys)
+    rows = _rows(o, rate - o.aux["sv_clk_rate_mps"], g.los, el, az, options.noise, factor, factor)
     return rows.select(el >= options.mask_rad) if on_ground else rows
 
 
@@ -116,10 +119,12 @@ def _angles(position_m: FloatArray, los: FloatArray) -> tuple[FloatArray, FloatA
 
 def _rows(
     o: Observation, predicted: FloatArray, los: FloatArray, el: FloatArray, az: FloatArray, noise: NoiseModel,
-    factor: FloatArray,
+    fast: FloatArray, slow: FloatArray,
 ) -> Rows:  # fmt: skip
     cn0 = o.aux["cn0_dbhz"]
-    return Rows(o.keys, o.y, predicted, los, noise.scale(el, cn0) * factor, noise.obliquity(el) * factor, el, az, cn0)
+    return Rows(
+        o.keys, o.y, predicted, los, noise.scale(el, cn0) * fast, noise.obliquity(el) * slow, el, az, cn0
+    )
 
 
 def system_of(key: str) -> str:
@@ -129,7 +134,9 @@ def system_of(key: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """A snapshot solution: position, a clock a constellation (m), velocity and clock drift (None without range rates)."""
+    """A snapshot solution: position, a clock a constellation (m), velocity and clock drift (None without
+    range rates).
+    """
 
     position_m: FloatArray
     clocks_m: dict[str, float]
@@ -138,7 +145,9 @@ class Fix:
     reason: str = ""
 
 
-def snapshot(epoch: Epoch, options: GnssOptions, guess_m: FloatArray, exclude: frozenset[str] = frozenset()) -> Fix:
+def snapshot(
+    epoch: Epoch, options: GnssOptions, guess_m: FloatArray, exclude: frozenset[str] = frozenset()
+) -> Fix:
     """Return the iterated weighted least-squares fix of one epoch; `reason` says why there is none.
 
     Parameters
@@ -154,9 +163,12 @@ def snapshot(epoch: Epoch, options: GnssOptions, guess_m: FloatArray, exclude: f
     clocks: dict[str, float] = {}
     for _ in range(12):
         rows = _without(code_rows(epoch, x, options), exclude)
-        systems = tuple(dict.fromkeys(system_of(k) for k in rows.keys))
+        systems = tuple(sorted({system_of(k) for k in rows.keys}))
         if len(rows.keys) < 3 + len(systems):
-            return _no_fix(x, f"a fix needs {3 + max(len(systems), 1)} satellites of this mix, there are {len(rows.keys)}")
+            return _no_fix(
+                x,
+                f"a fix needs {3 + max(len(systems), 1)} satellites of this mix, there are {len(rows.keys)}",
+            )
         step, clocks = _position_step(rows, systems, options)
         if not np.all(np.isfinite(step)):
             return _no_fix(x, "the geometry does not determine a position")
@@ -176,14 +188,18 @@ def _without(rows: Rows, exclude: frozenset[str]) -> Rows:
     return rows.select(np.array([k.partition(":")[0] not in exclude for k in rows.keys], dtype=bool))
 
 
-def _position_step(rows: Rows, systems: tuple[str, ...], options: GnssOptions) -> tuple[FloatArray, dict[str, float]]:
+def _position_step(
+    rows: Rows, systems: tuple[str, ...], options: GnssOptions
+) -> tuple[FloatArray, dict[str, float]]:
     clock = np.array([[system_of(k) == s for s in systems] for k in rows.keys], dtype=np.float64)
     weight = 1.0 / options.noise.snapshot_sigma_m(rows.scale, rows.slow)
     A = np.hstack([-rows.los, clock])
-    solution, _, rank, _ = np.linalg.lstsq(A * weight[:, None], (rows.y - rows.predicted) * weight, rcond=None)
+    solution, _, rank, _ = np.linalg.lstsq(
+        A * weight[:, None], (rows.y - rows.predicted) * weight, rcond=None
+    )
     if rank < A.shape[1]:
         return np.full(3, np.nan), {}
-    return solution[:3], dict(zip(systems, solution[3:].tolist(), strict=True))
+    return np.asarray(solution[:3], dtype=np.float64), dict(zip(systems, solution[3:].tolist(), strict=True))
 
 
 def _with_velocity(epoch: Epoch, options: GnssOptions, fix: Fix, exclude: frozenset[str]) -> Fix:
@@ -192,7 +208,9 @@ def _with_velocity(epoch: Epoch, options: GnssOptions, fix: Fix, exclude: frozen
         return fix
     A = np.hstack([-rows.los, np.ones((len(rows.keys), 1))])
     weight = 1.0 / rows.scale
-    solution, _, rank, _ = np.linalg.lstsq(A * weight[:, None], (rows.y - rows.predicted) * weight, rcond=None)
+    solution, _, rank, _ = np.linalg.lstsq(
+        A * weight[:, None], (rows.y - rows.predicted) * weight, rcond=None
+    )
     if rank < 4:
         return fix
-    return Fix(fix.position_m, fix.clocks_m, solution[:3], float(solution[3]))
+    return Fix(fix.position_m, fix.clocks_m, np.asarray(solution[:3], dtype=np.float64), float(solution[3]))

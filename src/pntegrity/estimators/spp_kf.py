@@ -1,4 +1,6 @@
-"""Kalman single point positioning: code and range rate, with the slow errors of each satellite in the state."""
+"""Kalman single point positioning: code and range rate, with the slow errors of each satellite in the
+state.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +9,28 @@ from functools import lru_cache
 
 import numpy as np
 
-from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, rate_rows, snapshot, system_of
-from pntegrity.estimators._errors import KINDS, error_kinds, error_states, propagate, stationary
+from pntegrity.estimators._errors import error_kinds, error_states, propagate, stationary
+from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows, system_of
 from pntegrity.estimators._layout import columns, survivors
+from pntegrity.estimators._navigation import MOTION, START_CLOCK_M, START_VARIANCE, fix_prior, linear_update
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
-from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update, group_of
+from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
 from pntegrity.sensors.gnss import C_MPS
 from pntegrity.sensors.noise import NoiseModel
 
-#: Standard deviations of a start, far above those of the snapshot that gives the mean.
-START_POS_M, START_VEL_MPS, START_CLOCK_M, START_DRIFT_MPS = 300.0, 100.0, 1000.0, 1000.0
-START_VARIANCE = np.array([START_POS_M] * 3 + [START_VEL_MPS] * 3 + [START_CLOCK_M, START_DRIFT_MPS]) ** 2
 #: A common shift of the code residuals above this is a jump of the receiver clock, m.
 CLOCK_JUMP_M = 300.0
-MOTION = ("pos:x", "pos:y", "pos:z", "vel:x", "vel:y", "vel:z")
 
 
 @dataclass(frozen=True)
 class SppKf:
     """Extended Kalman filter of position, velocity, clock, drift, inter-system biases and satellite errors.
 
-    Motion is white acceleration. The clock of the constellation seen first carries phase and drift; every further
-    constellation has an inter-system bias to it (one clock a constellation). A satellite in view has a bias and a
-    multipath state where the noise model has them; they are born when it rises and die when it sets.
+    Motion is white acceleration. The clock of the constellation seen first carries phase and drift; every
+    further constellation has an inter-system bias to it (one clock a constellation). A satellite in view has
+    a bias and a multipath state where the noise model has them; they are born when it rises and die when it
+    sets.
 
     Parameters
     ----------
@@ -40,7 +40,9 @@ class SppKf:
     options: GnssOptions = field(default_factory=GnssOptions)
 
     def predict(self, state: State, epoch: Epoch) -> Prior:
-        """Return the prior at `epoch`; starts from a snapshot where there is no state or the gap is too long."""
+        """Return the prior at `epoch`; starts from a snapshot where there is no state or the gap is too
+        long.
+        """
         dt = (epoch.t_ns - state.t_ns) * 1e-9
         if not len(state):
             return self._start(state, epoch, ())
@@ -48,7 +50,7 @@ class SppKf:
             return self._start(state, epoch, (f"restart after a gap of {dt:.0f} s",))
         moved = state.mean[:3] + dt * state.mean[3:6]
         rows = code_rows(epoch, moved, self.options)
-        layout = _layout(state.layout, rows.keys)
+        layout = _layout(state.layout, rows.keys, error_kinds(self.options.noise))
         F, Q = _transition(state.layout, layout, dt, self.options.noise, rows)
         mean = F @ state.mean
         mean, F, Q, consumed, events = _clocks(mean, F, Q, layout, state.layout, rows)
@@ -56,7 +58,9 @@ class SppKf:
         return Prior(State(epoch.t_ns, mean, P, layout), F, Q, consumed, events, rows)
 
     def relax(self, prior: Prior) -> Prior:
-        """Return the prior with position, velocity, clock and drift born anew; the satellites' errors stay known."""
+        """Return the prior with position, velocity, clock and drift born anew; the satellites' errors stay
+        known.
+        """
         if not len(prior.state):
             return prior
         F, Q, P = prior.F.copy(), prior.Q.copy(), prior.state.P.copy()
@@ -70,61 +74,41 @@ class SppKf:
 
     def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
         """Use the epoch's rows but for those of the groups in `exclude`."""
+        if (
+            exclude and len(prior.state) and not prior.F.any()
+        ):  # a start stands around a fix of rows that must not be in it
+            before = prior.F.shape[1]
+            prior = fix_prior(
+                epoch, self.options, prior.state.mean[:3], before, self.options.noise, prior.events, exclude
+            )
         if not len(prior.state):
             reason = prior.events[-1] if prior.events else "not started"
             return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
         code: Rows = prior.context
         rate = rate_rows(epoch, prior.state.mean[:3], prior.state.mean[3:6], self.options)
         noise = self.options.noise
-        return linear_update(prior, code, rate, noise.code_white_m * code.scale, noise.doppler_mps * rate.scale, exclude)
+        return linear_update(
+            prior, code, rate, noise.code_white_m * code.scale, noise.doppler_mps * rate.scale, exclude
+        )
 
     def _start(self, old: State, epoch: Epoch, events: tuple[str, ...]) -> Prior:
         guess = old.mean[:3] if len(old) else np.zeros(3)
-        fix = snapshot(epoch, self.options, guess)
-        if fix.reason:
-            return no_prior(epoch.t_ns, len(old), (*events, fix.reason))
-        rows = code_rows(epoch, fix.position_m, self.options)
-        return start_prior(fix, rows, epoch.t_ns, len(old), self.options.noise, (*events, "start"))
-
-
-def no_prior(t_ns: int, n_old: int, events: tuple[str, ...]) -> Prior:
-    """Return the empty prior of an epoch at which nothing could be started; the last event is the reason."""
-    return Prior(State.empty(t_ns), np.zeros((0, n_old)), np.zeros((0, 0)), events=events)
-
-
-def start_prior(
-    fix: Fix, rows: Rows, t_ns: int, n_old: int, noise: NoiseModel, events: tuple[str, ...]
-) -> Prior:
-    """Return the wide prior around a snapshot fix; the states that the data initialise are counted as consumed."""
-    reference = next(iter(fix.clocks_m))
-    names = (*MOTION, f"clk:{reference}", "drift", *(f"isb:{s}" for s in fix.clocks_m if s != reference))
-    layout = Layout((*names, *error_states(rows.keys, error_kinds(noise))))
-    mean, sigma = np.zeros(len(layout)), np.zeros(len(layout))
-    mean[:3], sigma[:3] = fix.position_m, START_POS_M
-    mean[3:6] = 0.0 if fix.velocity_mps is None else fix.velocity_mps
-    sigma[3:6] = START_VEL_MPS
-    mean[6], sigma[6], mean[7], sigma[7] = fix.clocks_m[reference], START_CLOCK_M, fix.drift_mps, START_DRIFT_MPS
-    for i, name in enumerate(layout.names[8:], 8):
-        if name.startswith("isb:"):
-            mean[i], sigma[i] = fix.clocks_m[name[4:]] - fix.clocks_m[reference], START_CLOCK_M
-    Q = np.diag(sigma**2)
-    stationary(Q, layout, rows, noise)
-    consumed = 3 + len(fix.clocks_m) + (4 if fix.velocity_mps is not None else 0)
-    return Prior(State(t_ns, mean, Q, layout), np.zeros((len(layout), n_old)), Q, consumed, events, rows)
+        return fix_prior(epoch, self.options, guess, len(old), self.options.noise, (*events, "start"))
 
 
 @lru_cache(maxsize=512)
-def _layout(old: Layout, keys: tuple[str, ...]) -> Layout:
+def _layout(old: Layout, keys: tuple[str, ...], kinds: tuple[str, ...]) -> Layout:
     """Return the layout after `old` with these code rows: constellations stay, satellites come and go."""
     reference = old.names[6].partition(":")[2]
     isb = [n for n in old.names if n.startswith("isb:")]
     seen = dict.fromkeys(f"isb:{system_of(k)}" for k in keys if system_of(k) != reference)
     isb += [n for n in seen if n not in old.index]
-    kinds = tuple(k for k in KINDS if any(n.startswith(k + ":") for n in old.names))
     return Layout((*MOTION, f"clk:{reference}", "drift", *isb, *error_states(keys, kinds)))
 
 
-def _transition(old: Layout, new: Layout, dt: float, noise: NoiseModel, rows: Rows) -> tuple[FloatArray, FloatArray]:
+def _transition(
+    old: Layout, new: Layout, dt: float, noise: NoiseModel, rows: Rows
+) -> tuple[FloatArray, FloatArray]:
     """Return the rectangular `F` and the `Q` of a step: what is born has its whole variance in `Q`."""
     to, source, born = survivors(old, new)
     n = len(new)
@@ -158,7 +142,9 @@ def _kinematics(F: FloatArray, Q: FloatArray, dt: float, noise: NoiseModel) -> N
 def _clocks(
     mean: FloatArray, F: FloatArray, Q: FloatArray, layout: Layout, old: Layout, rows: Rows
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, tuple[str, ...]]:
-    """Set what the data must initialise: inter-system biases of new constellations, the clock after a jump."""
+    """Set what the data must initialise: inter-system biases of new constellations, the clock after a
+    jump.
+    """
     consumed, events = 0, []
     residual = rows.y - rows.predicted - mean[6]
     isb = columns(layout, tuple(f"isb:{system_of(k)}" for k in rows.keys))
@@ -186,48 +172,11 @@ def _clocks(
 
 
 def _common_shift(residual: FloatArray) -> tuple[float, bool]:
-    """Return the median of the residuals, and whether most of them share it and it is too large for a clock that drifts."""
+    """Return the median of the residuals, and whether most of them share it and it is too large for a clock
+    that drifts.
+    """
     if len(residual) < 3:
         return 0.0, False
     shift = float(np.median(residual))
     shared = np.mean(np.abs(residual - shift) < 0.3 * CLOCK_JUMP_M) > 0.6
     return shift, bool(shared and abs(shift) > CLOCK_JUMP_M)
-
-
-def linear_update(
-    prior: Prior, code: Rows, rate: Rows, code_sigma_m: FloatArray, rate_sigma_mps: FloatArray, exclude: frozenset[str]
-) -> Update:
-    """Return the update of a prior with code and rate rows; the rows of `exclude` become the update's spare rows."""
-    x, layout = prior.state.mean, prior.state.layout
-    H = np.vstack([_code_jacobian(layout, code), _rate_jacobian(layout, rate)])
-    nu = np.concatenate([code.y - code.predicted, rate.y - rate.predicted])
-    nu -= np.concatenate([H[: len(code.keys), 6:] @ x[6:], np.full(len(rate.keys), x[7])])
-    variance = np.concatenate([code_sigma_m, rate_sigma_mps]) ** 2
-    keys = code.keys + rate.keys
-    used = np.array([group_of(k) not in exclude for k in keys], dtype=bool)
-    angles = {
-        name: np.concatenate([getattr(code, name), getattr(rate, name)])[used] for name in ("el_rad", "az_rad", "cn0_dbhz")
-    }
-    facts = {"aux": angles, "reason": "" if used.any() else "no satellite above the mask"}
-    update = Update.of(
-        prior, tuple(k for k, u in zip(keys, used, strict=True) if u), nu[used], H[used], np.diag(variance[used]), **facts
-    )
-    return update if used.all() else update.with_spares(tuple(keys[i] for i in np.flatnonzero(~used)), nu[~used], H[~used], variance[~used])
-
-
-def _code_jacobian(layout: Layout, rows: Rows) -> FloatArray:
-    H = np.zeros((len(rows.keys), len(layout)))
-    H[:, :3] = -rows.los
-    H[:, 6] = 1.0
-    for prefix, names in (("isb", [system_of(k) for k in rows.keys]), ("bias", rows.keys), ("mp", rows.keys)):
-        i = columns(layout, tuple(f"{prefix}:{n}" for n in names))
-        here = np.flatnonzero(i >= 0)
-        H[here, i[here]] = 1.0
-    return H
-
-
-def _rate_jacobian(layout: Layout, rows: Rows) -> FloatArray:
-    H = np.zeros((len(rows.keys), len(layout)))
-    H[:, 3:6] = -rows.los
-    H[:, 7] = 1.0
-    return H

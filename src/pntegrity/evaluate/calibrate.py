@@ -1,14 +1,16 @@
 """Fit a noise model to a receiver: innovation maximum likelihood on one part of a log, judged on another.
 
-The likelihood of a Kalman filter is that of its innovations, ``-2 log L = sum log det S_k + nu_k^T S_k^-1 nu_k``. It is
-maximised over the logarithms of the noise model's parameters, one at a time in turn. What a log cannot show stays at
-its default (the correlation time of the satellite biases). A threshold factor then covers what is left in the tails.
+The likelihood of a Kalman filter is that of its innovations, ``-2 log L = sum log det S_k + nu_k^T S_k^-1
+nu_k``. It is maximised over the logarithms of the noise model's parameters, one at a time in turn. What a log
+cannot show stays at its default (the correlation time of the satellite biases). A threshold factor then
+covers what is left in the tails.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +19,9 @@ from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators.spp_kf import SppKf
 from pntegrity.evaluate.whiteness import whiteness
 from pntegrity.exclusion import Policy
+from pntegrity.kernels.signatures import is_rate
 from pntegrity.pipeline import Pipeline
 from pntegrity.protocols import Monitor
-from pntegrity.kernels.signatures import is_rate
 from pntegrity.records import Epoch, FloatArray, State, Update
 from pntegrity.sensors.noise import WHITE, NoiseModel
 
@@ -37,13 +39,16 @@ RANGES: dict[str, tuple[float, float]] = {
     "glonass_factor": (1.0, 6.0),
     "bds2_factor": (1.0, 6.0),
 }
-#: Where the fit starts: a geodetic receiver. A far start ends in a random walk of the biases that explains everything.
+#: Where the fit starts: a geodetic receiver. A far start ends in a random walk of the biases that explains
+#: everything.
 TYPICAL = {
     "code_white_m": 0.02, "code_multipath_m": 0.08, "code_multipath_tau_s": 4.0, "code_smoothing_tau_s": 0.4,
     "code_bias_m": 1.0, "doppler_mps": 0.01,
 }  # fmt: skip
-#: Factors by which a parameter is tried, sweep after sweep; before the last, satellites get their own factors.
-STEPS = (2.5, 1.6, 1.25)
+#: Factors by which a parameter is tried, sweep after sweep.
+STEPS = (2.5, 1.6, 1.25, 1.12)
+#: Before this sweep satellites get their own factors.
+SATELLITES_AT = 2
 #: How far up or down one sweep walks a parameter.
 STRIDES = 4
 SETTLE = 30
@@ -64,7 +69,8 @@ class Calibration:
     gain : float
         By how much the fit raised the log-likelihood of the training part, an epoch.
     whiteness : dict
-        Innovation statistics of the validation part, for ``"white"``, ``"default"`` and ``"calibrated"`` models.
+        Innovation statistics of the validation part, for ``"white"``, ``"default"`` and ``"calibrated"``
+        models.
     alarms : dict
         Alarms of each monitor on the validation part as ``{name: {p_fa: count}}``, calibrated thresholds.
     """
@@ -109,12 +115,16 @@ def calibrate(
     """
     cut = int(len(epochs) * split)
     if cut < 100 or len(epochs) - cut < 100:
-        raise InputError(f"a calibration needs 100 epochs on either side of the split; {cut} and {len(epochs) - cut} given")
+        raise InputError(
+            f"a calibration needs 100 epochs on either side of the split; {cut} and {len(epochs) - cut} given"
+        )
     left_out = _outliers(epochs[:cut], options, monitors(p_fa, options.noise))
     start = _cost(epochs[:cut], options, left_out)
     noise, cost = _fit(epochs[:cut], options, left_out, progress)
     fitted = replace(options, noise=noise)
-    noise = replace(noise, factors=_factors(updates_of(epochs[:cut], fitted, left_out), monitors(p_fa, noise)))
+    noise = replace(
+        noise, factors=_factors(updates_of(epochs[:cut], fitted, left_out), monitors(p_fa, noise))
+    )
     progress("validation", 1.0)
     rest = epochs[cut:]
     white = white_model(epochs[:cut], options, noise, left_out)
@@ -131,7 +141,8 @@ def calibrate(
 def white_model(
     epochs: Sequence[Epoch], options: GnssOptions, noise: NoiseModel, left_out: Sequence[frozenset[str]] = ()
 ) -> NoiseModel:
-    """Return the best model without correlated errors: motion and clock of `noise`, white code noise fitted to the epochs.
+    """Return the best model without correlated errors: motion and clock of `noise`, white code noise fitted
+    to the epochs.
 
     Parameters
     ----------
@@ -143,15 +154,23 @@ def white_model(
         Groups left out of each epoch.
     """
     model = replace(
-        noise, name="white", code_white_m=WHITE.code_white_m, code_multipath_m=0.0, code_bias_m=0.0, satellites=(), factors=()
+        noise,
+        name="white",
+        code_white_m=WHITE.code_white_m,
+        code_multipath_m=0.0,
+        code_bias_m=0.0,
+        satellites=(),
+        factors=(),
     )
     best = _cost(epochs, replace(options, noise=model), left_out)
-    for step in (*STEPS, 1.1):
+    for step in STEPS:
         model, best = _line(epochs, options, left_out, model, best, "code_white_m", step)
     return model
 
 
-def updates_of(epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]]) -> list[Update]:
+def updates_of(
+    epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]]
+) -> list[Update]:
     """Run the filter over epochs with given exclusions, without monitors."""
     estimator, state, out = SppKf(options), State.empty(), []
     for i, epoch in enumerate(epochs):
@@ -162,7 +181,9 @@ def updates_of(epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence
     return out
 
 
-def _outliers(epochs: Sequence[Epoch], options: GnssOptions, monitors: Sequence[Monitor]) -> list[frozenset[str]]:
+def _outliers(
+    epochs: Sequence[Epoch], options: GnssOptions, monitors: Sequence[Monitor]
+) -> list[frozenset[str]]:
     """Return who the default run leaves out: gross errors must not become noise."""
     pipeline = Pipeline(SppKf(options), [m for m in monitors if m.name == "rctm"], Policy(p_fa=1e-6))
     return [frozenset(pipeline.push(e).update.excluded) for e in epochs]
@@ -178,14 +199,19 @@ def _cost(epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[froz
 
 
 def _fit(
-    epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]], progress: Callable[[str, float], None]
+    epochs: Sequence[Epoch],
+    options: GnssOptions,
+    left_out: Sequence[frozenset[str]],
+    progress: Callable[[str, float], None],
 ) -> tuple[NoiseModel, float]:
     """Minimise the cost one parameter after the other, with ever finer steps."""
     noise = replace(options.noise, name="calibrated", factors=(), satellites=(), **TYPICAL)
     best = _cost(epochs, replace(options, noise=noise), left_out)
     for sweep, step in enumerate(STEPS):
-        if step == STEPS[-1]:
-            noise = replace(noise, satellites=_satellites(updates_of(epochs, replace(options, noise=noise), left_out)))
+        if sweep == SATELLITES_AT:
+            noise = replace(
+                noise, satellites=_satellites(updates_of(epochs, replace(options, noise=noise), left_out))
+            )
             best = _cost(epochs, replace(options, noise=noise), left_out)
         for i, name in enumerate(RANGES):
             progress(f"{name} (sweep {sweep + 1} of {len(STEPS)})", (sweep + i / len(RANGES)) / len(STEPS))
@@ -194,7 +220,8 @@ def _fit(
 
 
 def _line(
-    epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]], noise: NoiseModel, best: float,
+    epochs: Sequence[Epoch], options: GnssOptions, left_out: Sequence[frozenset[str]], noise: NoiseModel,
+    best: float,
     name: str, step: float,
 ) -> tuple[NoiseModel, float]:  # fmt: skip
     """Walk one parameter up while that helps; where it does not help at all, down."""
@@ -212,10 +239,13 @@ def _line(
 
 
 def _scaled(noise: NoiseModel, name: str, factor: float) -> NoiseModel:
-    """Return the model with a parameter scaled within its range; with a correlation time, its size at equal drive."""
+    """Return the model with a parameter scaled within its range; with a correlation time, its size at equal
+    drive.
+    """
     value = float(np.clip(getattr(noise, name) * factor, *RANGES[name]))
     if name != "code_multipath_tau_s":
-        return replace(noise, **{name: value})
+        changed: dict[str, Any] = {name: value}
+        return replace(noise, **changed)
     size = noise.code_multipath_m * np.sqrt(value / noise.code_multipath_tau_s)
     return replace(noise, code_multipath_tau_s=value, code_multipath_m=float(size))
 
@@ -223,8 +253,8 @@ def _scaled(noise: NoiseModel, name: str, factor: float) -> NoiseModel:
 def _satellites(updates: Sequence[Update]) -> tuple[tuple[str, float, float], ...]:
     """Return how much larger each satellite's errors are than the fit says, code and range rate.
 
-    Means of white unit innovations over ``L`` epochs have variance ``1 / L``; the largest ratio to that over several
-    `L` also counts errors that are small but last.
+    Means of white unit innovations over ``L`` epochs have variance ``1 / L``; the largest ratio to that over
+    several `L` also counts errors that are small but last.
     """
     series: dict[str, list[float]] = {}
     for u in updates[SETTLE:]:

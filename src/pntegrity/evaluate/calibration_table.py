@@ -34,10 +34,14 @@ def calibration_table(result: Calibration) -> Group:
         value = getattr(result.noise, name)
         if isinstance(value, float):
             fitted.add_row(name, f"{value:.4g}")
-    white = Table("code innovations", "lag 1 s", "lag 5 s", "lag 30 s", "mean square", box=None, pad_edge=False)
+    white = Table(
+        "code innovations", "lag 1 s", "lag 5 s", "lag 30 s", "mean square", box=None, pad_edge=False
+    )
     for model, numbers in result.whiteness.items():
         white.add_row(model, *(_cell(c) for c in _level_row(numbers)))
-    alarms = Table("monitor", "threshold factor", *(f"alarms at {p}" for p in _levels(result)), box=None, pad_edge=False)
+    alarms = Table(
+        "monitor", "threshold factor", *(f"alarms at {p}" for p in _levels(result)), box=None, pad_edge=False
+    )
     for name, counts in result.alarms.items():
         alarms.add_row(name, f"{result.noise.factor(name):.2f}", *(str(n) for n in counts.values()))
     return Group(fitted, "", white, "", alarms)

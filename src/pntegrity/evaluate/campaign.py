@@ -1,8 +1,9 @@
-"""Inject faults into a real record by superposition, and see which monitor finds them, when, and whom it blames.
+"""Inject faults into a real record by superposition, and see which monitor finds them, when, and whom it
+blames.
 
-A filter is linear: a fault on its rows adds ``g`` to the innovations (`kernels.windows.respond`) whatever the data are.
-So one clean record serves for every satellite, size and onset, and a monitor goes on from what it remembered of the
-clean epochs before the onset.
+A filter is linear: a fault on its rows adds ``g`` to the innovations (`kernels.windows.respond`) whatever the
+data are. So one clean record serves for every satellite, size and onset, and a monitor goes on from what it
+remembered of the clean epochs before the onset.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ __all__ = ["Trial", "faulted", "trials"]
 class Trial:
     """One injected fault and what a monitor made of it.
 
-    `delay_s` is None where it did not alarm within the time looked at; `named` tells whether its first suspect was the
-    satellite at fault.
+    `delay_s` is None where it did not alarm within the time looked at; `named` tells whether its first
+    suspect was the satellite at fault.
     """
 
     monitor: str
@@ -66,7 +67,11 @@ def shifted(update: Update, nu: FloatArray) -> Update:
 
 
 def trials(
-    updates: Sequence[Update], monitor: Monitor, onsets: Sequence[int], faults: Sequence[tuple[str, float]], longest: int = 90
+    updates: Sequence[Update],
+    monitor: Monitor,
+    onsets: Sequence[int],
+    faults: Sequence[tuple[str, float]],
+    longest: int = 90,
 ) -> list[Trial]:
     """Return one trial a code row, fault and onset.
 
@@ -93,10 +98,14 @@ def trials(
     return out
 
 
-def _trial(span: Sequence[Update], monitor: Monitor, memory: object, key: str, kind: str, size: float) -> Trial:
+def _trial(
+    span: Sequence[Update], monitor: Monitor, memory: object, key: str, kind: str, size: float
+) -> Trial:
     for u in faulted(span, key, kind, size):
         verdict, memory = monitor.step(memory, u)
         if verdict.status == "alert":
             delay = (u.t_ns - span[0].t_ns) * 1e-9
-            return Trial(monitor.name, key, kind, size, span[0].t_ns, delay, verdict.suspect_groups == (group_of(key),))
+            return Trial(
+                monitor.name, key, kind, size, span[0].t_ns, delay, verdict.suspect_groups == (group_of(key),)
+            )
     return Trial(monitor.name, key, kind, size, span[0].t_ns, None, False)

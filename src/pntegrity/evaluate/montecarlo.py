@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ Test = QuadraticTest | MaximumTest
 __all__ = ["Count", "Planned", "Planner", "count_alarms", "plans"]
 
 
+@runtime_checkable
 class Planner(Protocol):
     """A monitor whose tests can be planned without data."""
 

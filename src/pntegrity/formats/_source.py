@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import gzip
-import os
 import zlib
 from pathlib import Path
 
 from pntegrity.errors import InputError
 
-__all__ = ["atomic_write", "read_bytes", "read_text", "with_decimal_version", "without_cut_line"]
+__all__ = ["read_bytes", "read_text", "with_decimal_version", "without_cut_line"]
 
 GZIP_MAGIC = b"\x1f\x8b"
 OTHER_ARCHIVES = {

@@ -1,15 +1,17 @@
 """The windowed vectors of AIME and SRAIME as linear maps of whitened innovations.
 
-The window is a run of updates after an anchor posterior. The state propagator leaves the anchor without measurements;
-``s_i`` is how far the filter's prior has moved from it: ``s_1 = 0``, ``s_{i+1} = F_{i+1} (s_i + K_i nu_i)``. Then
-``e_i = nu_i + H_i s_i`` (AIME) and ``d_i = s_i + K_i nu_i`` (SRAIME). Both papers form an average weighted by inverse
-covariances; any invertible change of the average leaves the statistic alone, so the weighted sums
-``eta = sum_i W_i e_i`` (or ``W_i T d_i``) are used. The maps come from one backward (adjoint) pass.
+The window is a run of updates after an anchor posterior. The state propagator leaves the anchor without
+measurements; ``s_i`` is how far the filter's prior has moved from it: ``s_1 = 0``, ``s_{i+1} = F_{i+1} (s_i +
+K_i nu_i)``. Then ``e_i = nu_i + H_i s_i`` (AIME) and ``d_i = s_i + K_i nu_i`` (SRAIME). Both papers form an
+average weighted by inverse covariances; any invertible change of the average leaves the statistic alone, so
+the weighted sums ``eta = sum_i W_i e_i`` (or ``W_i T d_i``) are used. The maps come from one backward
+(adjoint) pass.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -26,31 +28,54 @@ class Step(Protocol):
     """What the kernels read of an update."""
 
     @property
-    def keys(self) -> tuple[str, ...]: ...
+    def keys(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        ...
+
     @property
-    def F(self) -> FloatArray: ...
+    def F(self) -> FloatArray:
+        """Transition into the update."""
+        ...
+
     @property
-    def H(self) -> FloatArray: ...
+    def H(self) -> FloatArray:
+        """Jacobian of the rows."""
+        ...
+
     @property
-    def S(self) -> FloatArray: ...
+    def S(self) -> FloatArray:
+        """Innovation covariance."""
+        ...
+
     @property
-    def L(self) -> FloatArray: ...
+    def L(self) -> FloatArray:
+        """Its lower Cholesky factor."""
+        ...
+
     @property
-    def K(self) -> FloatArray: ...
+    def K(self) -> FloatArray:
+        """Gain."""
+        ...
+
     @property
-    def absorbed(self) -> FloatArray: ...
+    def absorbed(self) -> FloatArray:
+        """What the rows took from the covariance."""
+        ...
 
 
 def drift_covariances(window: Sequence[Step]) -> list[FloatArray]:
-    """Return ``cov(s_i)``: how far the filter may have moved from the propagator before each update, shapes (n_i, n_i)."""
+    """Return ``cov(s_i)``: how far the filter may have moved from the propagator before each update, shapes
+    (n_i, n_i).
+    """
     out = [np.zeros_like(window[0].absorbed)]
-    for earlier, later in zip(window, window[1:], strict=False):
+    for earlier, later in pairwise(window):
         out.append(sandwich(later.F, out[-1] + earlier.absorbed))
     return out
 
 
 def innovation_maps(window: Sequence[Step]) -> tuple[tuple[FloatArray, ...], FloatArray]:
-    """Return the maps ``M_j`` of AIME's weighted innovation sum and the sum of its weights (the published covariance).
+    """Return the maps ``M_j`` of AIME's weighted innovation sum and the sum of its weights (the published
+    covariance).
 
     Rows are the union of the window's keys, so satellites may rise and set inside it.
 
@@ -60,7 +85,9 @@ def innovation_maps(window: Sequence[Step]) -> tuple[tuple[FloatArray, ...], Flo
     """
     union = _union([u.keys for u in window])
     rows = [_places(u.keys, union) for u in window]
-    weights = [inverse_definite(u.S + sandwich(u.H, C) if i else u.S) for i, (u, C) in enumerate(_drifting(window))]
+    weights = [
+        inverse_definite(u.S + sandwich(u.H, C) if i else u.S) for i, (u, C) in enumerate(_drifting(window))
+    ]
     believed = np.zeros((len(union), len(union)))
     maps: list[FloatArray] = []
     Y = np.zeros((len(union), window[-1].K.shape[0]))
@@ -87,7 +114,9 @@ def _union(keys: list[tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def _places(keys: tuple[str, ...], union: tuple[str, ...]) -> slice | npt.NDArray[np.intp]:
-    """Return where rows stand in the union: everywhere (a slice, which is fast) as long as no satellite comes or goes."""
+    """Return where rows stand in the union: everywhere (a slice, which is fast) as long as no satellite comes
+    or goes.
+    """
     if keys == union:
         return slice(None)
     index = {k: i for i, k in enumerate(union)}
@@ -101,7 +130,9 @@ def _add_block(total: FloatArray, places: slice | npt.NDArray[np.intp], block: F
         total[np.ix_(places, places)] += block
 
 
-def state_maps(window: Sequence[Step], blocks: Sequence[npt.NDArray[np.intp]]) -> tuple[tuple[FloatArray, ...], FloatArray]:
+def state_maps(
+    window: Sequence[Step], blocks: Sequence[npt.NDArray[np.intp]]
+) -> tuple[tuple[FloatArray, ...], FloatArray]:
     """Return the maps of SRAIME's weighted state-difference sum and the sum of its weights.
 
     Parameters
@@ -114,7 +145,9 @@ def state_maps(window: Sequence[Step], blocks: Sequence[npt.NDArray[np.intp]]) -
     ----------
     Yu et al. (2023), SRAIME, eqs (37)-(41).
     """
-    moved = [(C + u.absorbed)[b][:, b] for C, u, b in zip(drift_covariances(window), window, blocks, strict=True)]
+    moved = [
+        (C + u.absorbed)[b][:, b] for C, u, b in zip(drift_covariances(window), window, blocks, strict=True)
+    ]
     weights = pseudo_inverses(np.stack(moved))
     d = len(blocks[0])
     maps: list[FloatArray] = []

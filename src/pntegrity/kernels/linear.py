@@ -21,7 +21,8 @@ def cholesky(S: FloatArray) -> FloatArray:
     """
     if S.shape[0] == 0:
         return np.zeros((0, 0))
-    # LAPACK is column-major: the upper factor of the transpose is the lower factor in row-major order, without a copy
+    # LAPACK is column-major: the upper factor of the transpose is the lower factor in row-major order,
+    # without a copy
     upper, info = dpotrf(S.T, lower=0, clean=1)
     if info != 0:
         raise np.linalg.LinAlgError(f"covariance is not positive definite (pivot {info} of {S.shape[0]})")

@@ -1,8 +1,8 @@
 """What a fault looks like on the rows of an epoch: which rows it touches, and how it grows.
 
 A row that measures the rate of its group (range rate beside range) has a key whose signal starts with ``D``
-(``"G05:D1C"``); every other row measures a level. A fault of a whole group or family that grows on the levels is a
-constant on the rates.
+(``"G05:D1C"``); every other row measures a level. A fault of a whole group or family that grows on the levels
+is a constant on the rates.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Signature:
     kind : str
         ``"bias"`` or ``"ramp"``.
     level, rate : tuple of str
-        Keys of the rows it touches. A bias is 1 on both; a ramp is the time since its onset on `level` and 1 on `rate`.
+        Keys of the rows it touches. A bias is 1 on both; a ramp is the time since its onset on `level` and 1
+        on `rate`.
     """
 
     groups: tuple[str, ...]
@@ -50,9 +51,11 @@ class Signature:
 
 @lru_cache(maxsize=256)
 def catalogue(keys: tuple[str, ...], kind: str) -> tuple[Signature, ...]:
-    """Return the faults of one kind worth looking for among `keys`: single rows, whole groups, whole families.
+    """Return the faults of one kind worth looking for among `keys`: single rows, whole groups, whole
+    families.
 
-    The order of `keys` does not matter: a fault is the same hypothesis from epoch to epoch, however its rows come.
+    The order of `keys` does not matter: a fault is the same hypothesis from epoch to epoch, however its rows
+    come.
     """
     keys = tuple(sorted(keys))
     levels, rates = _by_group([k for k in keys if not is_rate(k)]), _by_group([k for k in keys if is_rate(k)])
@@ -89,7 +92,9 @@ def _by_group(keys: Sequence[str]) -> dict[str, list[str]]:
 
 @lru_cache(maxsize=256)
 def masks(signatures: tuple[Signature, ...], keys: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return where signatures touch rows: `growing` (times the time since onset) and `constant`, shapes (m, s)."""
+    """Return where signatures touch rows: `growing` (times the time since onset) and `constant`, shapes (m,
+    s).
+    """
     row = {k: i for i, k in enumerate(keys)}
     growing = np.zeros((len(keys), len(signatures)))
     constant = np.zeros((len(keys), len(signatures)))

@@ -1,7 +1,7 @@
 """Which smallest set of groups, left out, makes an epoch's innovations consistent?
 
-Leaving the rows `J` out of an update lowers ``nu^T S^-1 nu`` by ``z_J^T (V_JJ)^-1 z_J`` with ``z = S^-1 nu`` and
-``V = S^-1``, exactly; so every subset is judged without a new filter step.
+Leaving the rows `J` out of an update lowers ``nu^T S^-1 nu`` by ``z_J^T (V_JJ)^-1 z_J`` with ``z = S^-1 nu``
+and ``V = S^-1``, exactly; so every subset is judged without a new filter step.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ class SubsetResult:
     passed : bool
         Whether the rest is consistent.
     alternatives : tuple of tuple of int
-        Other sets of the same size that explain the data nearly as well: the choice is ambiguous where there are any.
+        Other sets of the same size that explain the data nearly as well: the choice is ambiguous where there
+        are any.
     explained : float
         What leaving `removed` out takes from the statistic.
     """
@@ -44,8 +45,15 @@ class SubsetResult:
 
 
 def search(
-    nu: FloatArray, L: FloatArray, rows: list[IntArray], consumed: int, p_fa: float, *, largest: int = 3,
-    most: int = 20_000, margin: float = 9.0,
+    nu: FloatArray,
+    L: FloatArray,
+    rows: list[IntArray],
+    consumed: int,
+    p_fa: float,
+    *,
+    largest: int = 3,
+    most: int = 20_000,
+    margin: float = 9.0,
 ) -> SubsetResult:
     """Find the smallest consistent-making set of at most `largest` groups.
 
@@ -65,7 +73,8 @@ def search(
     most : int
         Sets of a size are not searched where there are more than this.
     margin : float
-        Sets whose explained statistic is less than this below the best are alternatives (log-likelihood ratio x 2).
+        Sets whose explained statistic is less than this below the best are alternatives (log-likelihood ratio
+        x 2).
     """
     inverse_root = whiten(L, np.eye(len(nu)))
     V = inverse_root.T @ inverse_root
@@ -89,7 +98,9 @@ def search(
     return best
 
 
-def _pick(sets: IntArray, explained: FloatArray, dof: IntArray, total: float, p_fa: float, margin: float) -> SubsetResult:
+def _pick(
+    sets: IntArray, explained: FloatArray, dof: IntArray, total: float, p_fa: float, margin: float
+) -> SubsetResult:
     top = int(np.argmax(explained))
     if explained[top] <= 0.0:
         return SubsetResult((), False, (), 0.0)

@@ -25,7 +25,9 @@ def chi2_tail(value: npt.ArrayLike, dof: npt.ArrayLike) -> FloatArray:
 
 
 def noncentral_tail(value: float, dof: int, noncentrality: npt.ArrayLike) -> FloatArray:
-    """Return the probability that a non-central chi-square exceeds `value` (the power of a quadratic test)."""
+    """Return the probability that a non-central chi-square exceeds `value` (the power of a quadratic
+    test).
+    """
     from scipy.stats import ncx2
 
     lam = np.asarray(noncentrality, dtype=np.float64)
@@ -54,8 +56,8 @@ def two_sided_tail(h: npt.ArrayLike) -> FloatArray:
 def joint_exceedance(rho: npt.ArrayLike, h: float, nodes: int = 96) -> FloatArray:
     """Return ``P(|b| > h given |a| > h)`` for unit normals of correlation `rho`.
 
-    The conditional tail is integrated over ``a = h + s / h`` by Gauss-Laguerre quadrature, exact enough (1e-6 relative)
-    for ``h`` from 2 to 12.
+    The conditional tail is integrated over ``a = h + s / h`` by Gauss-Laguerre quadrature, exact enough (1e-6
+    relative) for ``h`` from 2 to 12.
     """
     s, w = _laguerre(nodes)
     a = h + s / h
@@ -86,8 +88,8 @@ def exceedance_table() -> FloatArray:
 def effective_tests(rho_parent: FloatArray, h: float) -> float:
     """Return how many independent tests a tree of correlated two-sided tests is worth, at threshold `h`.
 
-    Hunter's bound: for any spanning forest, ``P(union) <= sum P(A_i) - sum P(A_i and A_parent(i))``. Dividing by
-    ``P(A)`` leaves ``N - sum kappa(rho_i)``, an upper bound of the ratio.
+    Hunter's bound: for any spanning forest, ``P(union) <= sum P(A_i) - sum P(A_i and A_parent(i))``. Dividing
+    by ``P(A)`` leaves ``N - sum kappa(rho_i)``, an upper bound of the ratio.
 
     Parameters
     ----------
@@ -107,7 +109,9 @@ def effective_tests(rho_parent: FloatArray, h: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _unlinked(table: FloatArray, rho: FloatArray, position: float, independent: float) -> float:
-    """Return ``1 + sum (1 - kappa)`` over all tests but one root; `position` is where the threshold stands in the table."""
+    """Return ``1 + sum (1 - kappa)`` over all tests but one root; `position` is where the threshold stands in
+    the table.
+    """
     row, cells = int(position), table.shape[1] - 1
     part, total = position - row, independent
     for r in rho:
@@ -123,7 +127,9 @@ def _unlinked(table: FloatArray, rho: FloatArray, position: float, independent: 
 
 
 def max_threshold(rho_parent: FloatArray, p_fa: float) -> float:
-    """Return the threshold on ``max |u_i|`` whose false-alarm probability is at most `p_fa` (see `effective_tests`)."""
+    """Return the threshold on ``max |u_i|`` whose false-alarm probability is at most `p_fa` (see
+    `effective_tests`).
+    """
     if len(rho_parent) == 0:
         return float("inf")
     h = float(np.sqrt(2.0) * special.erfcinv(p_fa / len(rho_parent)))

@@ -1,7 +1,7 @@
 """Windowed linear tests: y = sum_j A_j nu_j over the last updates, with its exact covariance.
 
-Under the null hypothesis the innovations are white, so with ``nu_j = L_j n_j`` the vector is ``y = sum_j M_j n_j``,
-``M_j = A_j L_j``, and ``cov(y) = sum_j M_j M_j^T`` exactly, whatever rows and states came and went.
+Under the null hypothesis the innovations are white, so with ``nu_j = L_j n_j`` the vector is ``y = sum_j M_j
+n_j``, ``M_j = A_j L_j``, and ``cov(y) = sum_j M_j M_j^T`` exactly, whatever rows and states came and went.
 """
 
 from __future__ import annotations
@@ -50,13 +50,16 @@ class Form:
         return np.asarray(T @ T.T)
 
     def stacked(self) -> FloatArray:
-        """Return ``metric [M_1 ... M_k]``, shape (r, sum of m_j): one matrix for the whole window, oldest rows first."""
+        """Return ``metric [M_1 ... M_k]``, shape (r, sum of m_j): one matrix for the whole window, oldest
+        rows first.
+        """
         return np.asarray(self.metric @ np.concatenate(self.maps, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class QuadraticTest:
-    """One epoch of a quadratic monitor, without data: the form over the last updates and what it is held against.
+    """One epoch of a quadratic monitor, without data: the form over the last updates and what it is held
+    against.
 
     Parameters
     ----------
@@ -80,8 +83,8 @@ class QuadraticTest:
 def inverse_root(cov: FloatArray, rtol: float = 1e-9) -> FloatArray:
     """Return `Omega`, shape (rank, d), with ``Omega^T Omega`` the pseudo-inverse of a covariance.
 
-    Directions whose variance is below `rtol` of the largest, after scaling to unit diagonal, are dropped: the rank is
-    the number of degrees of freedom.
+    Directions whose variance is below `rtol` of the largest, after scaling to unit diagonal, are dropped: the
+    rank is the number of degrees of freedom.
     """
     scale = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
@@ -91,17 +94,25 @@ def inverse_root(cov: FloatArray, rtol: float = 1e-9) -> FloatArray:
 
 
 def pseudo_inverses(covs: FloatArray, rtol: float = 1e-9) -> FloatArray:
-    """Return the pseudo-inverse of each covariance of a stack (k, d, d); see `inverse_root` for what is dropped."""
+    """Return the pseudo-inverse of each covariance of a stack (k, d, d); see `inverse_root` for what is
+    dropped.
+    """
     scale = np.sqrt(np.maximum(np.diagonal(covs, axis1=1, axis2=2), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covs / (safe[:, :, None] * safe[:, None, :]))
     keep = values > rtol * np.maximum(values[:, -1:], 0.0)
-    roots = vectors * np.sqrt(np.where(keep, 1.0 / np.where(keep, values, 1.0), 0.0))[:, None, :] / safe[:, :, None]
+    roots = (
+        vectors
+        * np.sqrt(np.where(keep, 1.0 / np.where(keep, values, 1.0), 0.0))[:, None, :]
+        / safe[:, :, None]
+    )
     return np.asarray(roots @ roots.transpose(0, 2, 1))
 
 
 def definite_inverse_root(cov: FloatArray) -> FloatArray:
-    """Return `Omega` of a covariance that is expected to be positive definite; falls back on `inverse_root`."""
+    """Return `Omega` of a covariance that is expected to be positive definite; falls back on
+    `inverse_root`.
+    """
     try:
         return inverse_lower(cholesky(cov))
     except np.linalg.LinAlgError:
@@ -115,11 +126,13 @@ def exact_form(maps: tuple[FloatArray, ...]) -> Form:
     return Form(maps, metric, metric.shape[0])
 
 
-def respond(E: FloatArray, F: FloatArray, H: FloatArray, K: FloatArray, f: FloatArray) -> tuple[FloatArray, FloatArray]:
+def respond(
+    E: FloatArray, F: FloatArray, H: FloatArray, K: FloatArray, f: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Take measurement faults one epoch through a filter.
 
-    A fault `f` on the rows moves the mean of the innovation by ``g = f - H F e`` and the error of the state from ``e`` to
-    ``F e + K g``.
+    A fault `f` on the rows moves the mean of the innovation by ``g = f - H F e`` and the error of the state
+    from ``e`` to ``F e + K g``.
 
     Parameters
     ----------

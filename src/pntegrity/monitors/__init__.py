@@ -1,6 +1,7 @@
 """Tests of updates. One monitor a module; each sees records and kernels only.
 
-A module of this folder that holds a class with a `name`, `start` and `step` is a monitor: nothing else lists it.
+A module of this folder that holds a class with a `name`, `start` and `step` is a monitor: nothing else lists
+it.
 """
 
 from __future__ import annotations
@@ -23,5 +24,6 @@ def discover() -> dict[str, type[Any]]:
         loaded = importlib.import_module(f"{__name__}.{module.name}")
         for value in vars(loaded).values():
             if isinstance(value, type) and value.__module__ == loaded.__name__ and hasattr(value, "step"):
-                found[value.name] = value
+                monitor: type[Any] = value
+                found[monitor.name] = monitor
     return found

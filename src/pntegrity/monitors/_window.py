@@ -1,4 +1,6 @@
-"""What the quadratic monitors share: a window of updates, a form over it, the verdict and the naming of suspects."""
+"""What the quadratic monitors share: a window of updates, a form over it, the verdict and the naming of
+suspects.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,8 @@ Window = tuple[Update, ...]
 def slide(window: Window, update: Update, length: int) -> Window:
     """Return the window with `update` appended, at most `length` long.
 
-    An epoch without rows empties it. A start stands alone: its innovations come from a state that was initialised from
-    the same data, so no later window contains them.
+    An epoch without rows empties it. A start stands alone: its innovations come from a state that was
+    initialised from the same data, so no later window contains them.
     """
     if not update.keys:
         return ()
@@ -49,7 +51,9 @@ def quadratic_test(
 
 
 def judge(monitor: str, variant: str, test: QuadraticTest, memory: Window, update: Update) -> Verdict:
-    """Return the verdict of a test on `update`, `memory` being the updates before it, with suspects where it alarms."""
+    """Return the verdict of a test on `update`, `memory` being the updates before it, with suspects where it
+    alarms.
+    """
     if test.form is None:
         return unavailable(monitor, variant, update, test.reason)
     window = (*memory, update)[-len(test.form.maps) :]
@@ -77,22 +81,28 @@ def state_test_reason(update: Update) -> str:
     """Say why a test of the state cannot be made."""
     if not update.keys:
         return no_redundancy(update)
-    return "no prior: the state was initialised from this epoch's own data" if is_start(update) else "no such states"
+    return (
+        "no prior: the state was initialised from this epoch's own data"
+        if is_start(update)
+        else "no such states"
+    )
 
 
 def is_ambiguous(suspects: tuple[Suspect, ...], margin: float = 9.0) -> bool:
-    """Tell whether the second suspect explains the data nearly as well (log-likelihood ratio within `margin` / 2)."""
+    """Tell whether the second suspect explains the data nearly as well (log-likelihood ratio within `margin`
+    / 2).
+    """
     return len(suspects) > 1 and suspects[0].statistic - suspects[1].statistic < margin
 
 
 def name_suspects(window: Window, form: Form, most: int = 4) -> tuple[Suspect, ...]:
     """Return the groups whose fault since the window's start explains the form's vector best.
 
-    For each signature the mean response ``m`` of the form's whitened vector ``y`` is computed; ``(m.y)^2 / m.m`` is
-    what it explains and ``m.y / m.m`` the size. For a window of one epoch this is Baarda's w-test.
+    For each signature the mean response ``m`` of the form's whitened vector ``y`` is computed; ``(m.y)^2 /
+    m.m`` is what it explains and ``m.y / m.m`` the size. For a window of one epoch this is Baarda's w-test.
     """
     signatures = tuple(s for kind in _kinds(window) for s in catalogue(window[-1].keys, kind))
-    means = form.project([w for w in _responses(window, signatures)])
+    means = form.project(_responses(window, signatures))
     y = form.project([u.white for u in window])
     power = np.sum(means * means, axis=0)
     safe = np.where(power > 1e-12, power, np.inf)

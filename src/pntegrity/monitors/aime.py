@@ -14,15 +14,17 @@ from pntegrity.records import Update, Verdict
 
 @dataclass(frozen=True)
 class Aime:
-    """Autonomous integrity monitoring by extrapolation: a weighted mean of innovations against a coasting state.
+    """Autonomous integrity monitoring by extrapolation: a weighted mean of innovations against a coasting
+    state.
 
-    Hypothesis: no fault within the window. Statistic: ``e_avg^T cov^-1 e_avg``, where ``e_i`` are the innovations
-    against the state of `window` epochs ago extrapolated without measurements, averaged with their inverse
-    covariances. `published` uses the inverse of the summed weights as covariance, as printed, which treats the terms
-    as independent: its false-alarm rate is many times the nominal one, and it needs the same rows in the whole window
-    (else unavailable). `exact` uses the exact covariance of the same vector and takes any rows. Threshold: chi-square
-    with as many degrees of freedom as rows (exact: as the rank). It cannot see a fault older than its window that the
-    state has absorbed. Memory: `window` updates; until it is full the window is what there is (published: RCTM).
+    Hypothesis: no fault within the window. Statistic: ``e_avg^T cov^-1 e_avg``, where ``e_i`` are the
+    innovations against the state of `window` epochs ago extrapolated without measurements, averaged with
+    their inverse covariances. `published` uses the inverse of the summed weights as covariance, as printed,
+    which treats the terms as independent: its false-alarm rate is many times the nominal one, and it needs
+    the same rows in the whole window (else unavailable). `exact` uses the exact covariance of the same vector
+    and takes any rows. Threshold: chi-square with as many degrees of freedom as rows (exact: as the rank). It
+    cannot see a fault older than its window that the state has absorbed. Memory: `window` updates; until it
+    is full the window is what there is (published: RCTM).
 
     Parameters
     ----------
@@ -80,7 +82,9 @@ class Aime:
         form = self.form(window[-1:] if short else window)
         reason = "the rows changed within the window: the published test does not apply" if window else ""
         consumed = update.consumed if is_start(update) else 0
-        test = quadratic_test(form, update, p_fa=self.p_fa, factor=self.factor, consumed=consumed, reason=reason)
+        test = quadratic_test(
+            form, update, p_fa=self.p_fa, factor=self.factor, consumed=consumed, reason=reason
+        )
         return test, window
 
     def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:

@@ -8,7 +8,15 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from pntegrity.kernels.bank import (
-    Bank, IntArray, MaximumTest, Schedule, advance, empty_bank, parents, rearrange, stack_sources,
+    Bank,
+    IntArray,
+    MaximumTest,
+    Schedule,
+    advance,
+    empty_bank,
+    parents,
+    rearrange,
+    stack_sources,
 )  # fmt: skip
 from pntegrity.kernels.signatures import catalogue, rows_touched
 from pntegrity.kernels.tails import max_threshold
@@ -21,7 +29,9 @@ KINDS: tuple[Literal["bias", "ramp"], ...] = ("bias", "ramp")
 
 @dataclass(frozen=True, eq=False)
 class GlrMemory:
-    """What the GLR keeps: an epoch counter, the last time, one bank a kind, and the sums of the hypotheses (flat)."""
+    """What the GLR keeps: an epoch counter, the last time, one bank a kind, and the sums of the hypotheses
+    (flat).
+    """
 
     count: int
     last_ns: int
@@ -33,13 +43,13 @@ class GlrMemory:
 class Glr:
     """Windowed generalised likelihood ratio: which fault, since when, how large?
 
-    Hypotheses: a bias or a ramp on any row, on all rows of a group (satellite), or of a family (constellation clock),
-    since any of a thinned set of onsets. Each signature is taken through the filter (what the state absorbs of it, the
-    test does not expect to see). Statistic: the largest ``num^2 / den`` of the bank. Threshold: the false-alarm
-    probability of the whole bank is at most `p_fa` an epoch, by Hunter's bound over the exact correlations of the
-    hypotheses. Assumes white innovations. It cannot see a fault that was there when the filter or the satellite's
-    states started, nor one that the states follow as fast as it grows. Memory: running sums, nothing is recomputed.
-    Ours; it has no published variant.
+    Hypotheses: a bias or a ramp on any row, on all rows of a group (satellite), or of a family (constellation
+    clock), since any of a thinned set of onsets. Each signature is taken through the filter (what the state
+    absorbs of it, the test does not expect to see). Statistic: the largest ``num^2 / den`` of the bank.
+    Threshold: the false-alarm probability of the whole bank is at most `p_fa` an epoch, by Hunter's bound
+    over the exact correlations of the hypotheses. Assumes white innovations. It cannot see a fault that was
+    there when the filter or the satellite's states started, nor one that the states follow as fast as it
+    grows. Memory: running sums, nothing is recomputed. Ours; it has no published variant.
 
     Parameters
     ----------
@@ -54,7 +64,8 @@ class Glr:
 
     References
     ----------
-    Willsky and Jones (1976), A generalized likelihood ratio approach to the detection and estimation of jumps.
+    Willsky and Jones (1976), A generalized likelihood ratio approach to the detection and estimation of
+    jumps.
 
     Examples
     --------
@@ -112,10 +123,14 @@ class Glr:
         if statistic <= test.threshold:
             return Verdict(self.name, self.variant, update.t_ns, "ok", *facts)
         suspects = _suspects(test, num)
-        return Verdict(self.name, self.variant, update.t_ns, "alert", *facts, suspects, is_ambiguous(suspects))
+        return Verdict(
+            self.name, self.variant, update.t_ns, "alert", *facts, suspects, is_ambiguous(suspects)
+        )
 
     def _carried(self, memory: GlrMemory, update: Update) -> tuple[tuple[Bank, ...], IntArray, FloatArray]:
-        """Return the banks after `update`, where their hypotheses stood before, and their whitened responses."""
+        """Return the banks after `update`, where their hypotheses stood before, and their whitened
+        responses.
+        """
         start_ns = memory.last_ns if memory.count else update.t_ns
         banks, sources, responses = [], [], []
         for kind, schedule, bank in zip(KINDS, self.schedules, memory.banks, strict=True):
@@ -130,7 +145,9 @@ class Glr:
         return tuple(banks), stack_sources(sources, sizes), np.concatenate(responses)
 
     def _tested(self, memory: GlrMemory) -> tuple[FloatArray, FloatArray]:
-        """Return ``1 / den`` of every hypothesis (0 where it is not tested) and the parent correlation of the tested."""
+        """Return ``1 / den`` of every hypothesis (0 where it is not tested) and the parent correlation of the
+        tested.
+        """
         inverse, rho = [], []
         for schedule, bank in zip(self.schedules, memory.banks, strict=True):
             linked = parents(bank.gram, schedule.tested(bank.onset, memory.count - 1)).ravel()

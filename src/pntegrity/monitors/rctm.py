@@ -17,10 +17,10 @@ from pntegrity.records import Update, Verdict
 class Rctm:
     """Residual chi-square test: are this epoch's innovations as small as their covariance says?
 
-    Hypothesis: no fault in this epoch, and none that still shows in the prior. Statistic: ``nu^T S^-1 nu``. Threshold:
-    chi-square with as many degrees of freedom as rows, less the states initialised from this very epoch. Assumes white
-    Gaussian innovations of covariance `S`. It cannot see a fault that grows slower than the filter follows. Memory:
-    none. The published and the exact variant are the same.
+    Hypothesis: no fault in this epoch, and none that still shows in the prior. Statistic: ``nu^T S^-1 nu``.
+    Threshold: chi-square with as many degrees of freedom as rows, less the states initialised from this very
+    epoch. Assumes white Gaussian innovations of covariance `S`. It cannot see a fault that grows slower than
+    the filter follows. Memory: none. The published and the exact variant are the same.
 
     Parameters
     ----------

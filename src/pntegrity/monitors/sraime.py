@@ -10,7 +10,15 @@ import numpy as np
 from pntegrity.kernels.extrapolation import state_maps
 from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
 from pntegrity.monitors._options import check_block, check_epochs, check_test
-from pntegrity.monitors._window import Window, block_of, is_start, judge, quadratic_test, slide, state_test_reason
+from pntegrity.monitors._window import (
+    Window,
+    block_of,
+    is_start,
+    judge,
+    quadratic_test,
+    slide,
+    state_test_reason,
+)
 from pntegrity.records import Update, Verdict
 
 
@@ -18,12 +26,14 @@ from pntegrity.records import Update, Verdict
 class Sraime:
     """State-domain robust AIME: posterior states against a state propagated from before the window.
 
-    Hypothesis: no fault within the window. Statistic: ``d_avg^T cov^+ d_avg`` with ``d_i`` the difference of posterior
-    and propagated states in `block`, averaged with their inverse covariances (by singular values, so that a near
-    singular covariance is harmless). `published` uses the inverse of the summed weights as covariance, as printed: its
-    false-alarm rate is a hundred times the nominal one and more. `exact` uses the exact covariance. Threshold:
-    chi-square with the dimension of the block (exact: the rank). Under a white-noise position model the position block
-    is blind to slow faults: every epoch forgets. Memory: `window` updates; the states of `block` must live through it.
+    Hypothesis: no fault within the window. Statistic: ``d_avg^T cov^+ d_avg`` with ``d_i`` the difference of
+    posterior and propagated states in `block`, averaged with their inverse covariances (by singular values,
+    so that a near singular covariance is harmless). `published` uses the inverse of the summed weights as
+    covariance, as printed: its false-alarm rate is a hundred times the nominal one and more. `exact` uses the
+    exact covariance. Threshold: chi-square with the dimension of the block (exact: the rank). It cannot see
+    what the states of `block` do not show: under a white-noise position model the position block is blind to
+    slow faults, since every epoch forgets. Memory: `window` updates; the states of `block` must live through
+    it.
 
     Parameters
     ----------

@@ -9,7 +9,15 @@ import numpy as np
 
 from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
 from pntegrity.monitors._options import check_block, check_test
-from pntegrity.monitors._window import Window, block_of, is_start, judge, quadratic_test, slide, state_test_reason
+from pntegrity.monitors._window import (
+    Window,
+    block_of,
+    is_start,
+    judge,
+    quadratic_test,
+    slide,
+    state_test_reason,
+)
 from pntegrity.records import Update, Verdict
 
 
@@ -17,10 +25,10 @@ from pntegrity.records import Update, Verdict
 class Srctm:
     """State-domain chi-square test: did the rows move the state further than they should?
 
-    Hypothesis: as RCTM. Statistic: ``d^T cov(d)^+ d`` with ``d = T (x - x') = T K nu`` over the states of `block`, and
-    ``cov(d) = T (P' - P) T^T`` exactly. Threshold: chi-square; its degrees of freedom are the rank of the covariance
-    (`exact`) or the number of states (`published`, as printed). It cannot see what the rows say beside the chosen
-    states, nor a fault that grows slowly. Memory: none.
+    Hypothesis: as RCTM. Statistic: ``d^T cov(d)^+ d`` with ``d = T (x - x') = T K nu`` over the states of
+    `block`, and ``cov(d) = T (P' - P) T^T`` exactly. Threshold: chi-square; its degrees of freedom are the
+    rank of the covariance (`exact`) or the number of states (`published`, as printed). It cannot see what the
+    rows say beside the chosen states, nor a fault that grows slowly. Memory: none.
 
     Parameters
     ----------
@@ -54,7 +62,9 @@ class Srctm:
         return ()
 
     def form(self, window: Window) -> Form | None:
-        """Return the linear form of the last update, or None where the chosen states are absent or only just born."""
+        """Return the linear form of the last update, or None where the chosen states are absent or only just
+        born.
+        """
         if not window or is_start(window[-1]):
             return None
         u = window[-1]

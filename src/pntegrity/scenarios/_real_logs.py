@@ -1,4 +1,6 @@
-"""Real logs of the evidence campaigns: where they are, what is known of them, and the filter run over them."""
+"""Real logs of the evidence campaigns: where they are, what is known of them, and the filter run over
+them.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def row(
     campaign: str, quantity: str, must: str, measured: Any, ok: bool | None = None, *,
     interval: Sequence[float] | None = None, note: str = "",
 ) -> Row:  # fmt: skip
-    """Return one figure: what it is, what it must be, what was measured; `ok` None where it is only stated."""
+    """Return one figure: what it is, what it must be, what was measured; `ok` None where it is only
+    stated.
+    """
     found = None if interval is None else [float(v) for v in interval]
     names = ("campaign", "quantity", "must", "measured", "interval", "ok", "note")
     return dict(zip(names, (campaign, quantity, must, measured, found, ok, note), strict=True))
@@ -78,11 +82,14 @@ class Log:
     def missing(self, data: Path) -> str:
         """Return which file is not there, empty where all are."""
         files = (self.obs, *self.nav, *([self.truth_file] if self.truth_file else []))
-        return next((f"{self.folder}/{f} is not here" for f in files if not (data / self.folder / f).is_file()), "")
+        return next(
+            (f"{self.folder}/{f} is not here" for f in files if not (data / self.folder / f).is_file()), ""
+        )
 
 
 BRUX = Log(
-    "brux-static-2019014", "BRUX00BEL_S_20190140615_15M_01S_MO.rnx.gz", ("BRDC00WRD_R_20190140000_01D_MN.rnx.gz",),
+    "brux-static-2019014", "BRUX00BEL_S_20190140615_15M_01S_MO.rnx.gz",
+    ("BRDC00WRD_R_20190140000_01D_MN.rnx.gz",),
     (4027881.6280, 306998.5370, 4919498.9840),
 )  # fmt: skip
 CLAS = Log(
@@ -164,7 +171,9 @@ class Site:
         return {"calibrated": self.noise, "default": NoiseModel()}
 
     def horizontal_m(self, positions: npt.ArrayLike, first: int = 0) -> FloatArray:
-        """Return horizontal errors of positions (n, 3) at the epochs from `first` on; nan where there is none."""
+        """Return horizontal errors of positions (n, 3) at the epochs from `first` on; nan where there is
+        none.
+        """
         found = np.asarray(positions, dtype=np.float64)
         truth = self.truth_m[first : first + len(found)]
         known = np.isfinite(truth).all(axis=1) & np.isfinite(found).all(axis=1)
@@ -184,6 +193,7 @@ def rms(errors: FloatArray) -> float:
 def without_groups(epoch: Epoch, keep: frozenset[str]) -> Epoch:
     """Return the epoch with only the rows of some groups."""
     kept = tuple(
-        o.select(np.array([k.partition(":")[0] in keep for k in o.keys], dtype=bool)) for o in epoch.observations
+        o.select(np.array([k.partition(":")[0] in keep for k in o.keys], dtype=bool))
+        for o in epoch.observations
     )
     return replace(epoch, observations=kept)

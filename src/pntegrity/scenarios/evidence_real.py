@@ -1,7 +1,8 @@
-"""Campaigns on the real static BRUX log: positions and alarms without a fault, and how soon single faults are found.
+"""Campaigns on the real static BRUX log: positions and alarms without a fault, and how soon single faults are
+found.
 
-The log has 900 epochs at 1 Hz of GPS, GLONASS, Galileo and BDS. The noise model is fitted to its first half; all that
-is counted comes from the second, by a filter that ran from the beginning.
+The log has 900 epochs at 1 Hz of GPS, GLONASS, Galileo and BDS. The noise model is fitted to its first half;
+all that is counted comes from the second, by a filter that ran from the beginning.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy import special
 
 from pntegrity.estimators.spp import Spp
 from pntegrity.evaluate.calibrate import updates_of, white_model
-from pntegrity.evaluate.campaign import Trial, faulted, trials
+from pntegrity.evaluate.campaign import Trial, faulted, shifted, trials
 from pntegrity.evaluate.intervals import binomial_interval
 from pntegrity.evaluate.whiteness import whiteness
 from pntegrity.kernels.linear import whiten
@@ -42,7 +43,8 @@ def site_of(data: Path, log: Log = BRUX) -> Site:
     return Site(log, data)
 
 
-# --- without a fault ---------------------------------------------------------------------------------------------
+# --- without a fault
+# ---------------------------------------------------------------------------------------------
 
 
 def clean(data: Path) -> list[Row]:
@@ -90,7 +92,9 @@ def snapshots(site: Site, noise: NoiseModel) -> list[Update]:
     return out
 
 
-def _alarm_rows(site: Site, name: str, updates: Sequence[Update], noise: NoiseModel, p_fa: float) -> list[Row]:
+def _alarm_rows(
+    site: Site, name: str, updates: Sequence[Update], noise: NoiseModel, p_fa: float
+) -> list[Row]:
     out = []
     strict = p_fa == P_FA and name == "calibrated"
     for m in monitors(p_fa, noise):
@@ -102,8 +106,17 @@ def _alarm_rows(site: Site, name: str, updates: Sequence[Update], noise: NoiseMo
         if factor > 1.0:
             note += f", which the calibration raised by {factor:.2f}"
         interval = binomial_interval(alarms, tested)
-        out.append(row("clean", quantity, "0" if strict else "stated", alarms, alarms == 0 if strict else None,
-                       interval=interval, note=note))  # fmt: skip
+        out.append(
+            row(
+                "clean",
+                quantity,
+                "0" if strict else "stated",
+                alarms,
+                alarms == 0 if strict else None,
+                interval=interval,
+                note=note,
+            )
+        )
     return out
 
 
@@ -127,11 +140,15 @@ def _whiteness_rows(name: str, updates: Sequence[Update], note: str) -> list[Row
     return out
 
 
-# --- how soon single faults are found ---------------------------------------------------------------------------------
+# --- how soon single faults are found
+# ---------------------------------------------------------------------------------
 
 
-def delays(data: Path, faults: Sequence[tuple[str, float]] = FAULTS, onsets: Sequence[int] = ONSETS) -> list[Row]:
-    """Return how late each monitor sees faults on one code, all satellites in turn, and what could be done at best.
+def delays(
+    data: Path, faults: Sequence[tuple[str, float]] = FAULTS, onsets: Sequence[int] = ONSETS
+) -> list[Row]:
+    """Return how late each monitor sees faults on one code, all satellites in turn, and what could be done at
+    best.
 
     Parameters
     ----------
@@ -154,7 +171,9 @@ def delays(data: Path, faults: Sequence[tuple[str, float]] = FAULTS, onsets: Seq
             for trial in trials(updates, m, onsets, faults, LONGEST)
         ]
         for i, (kind, size) in enumerate(faults):
-            rows += _delay_rows(name, [t for t in found if (t.kind, t.size) == (kind, size)], _target(name, i, faults))
+            rows += _delay_rows(
+                name, [t for t in found if (t.kind, t.size) == (kind, size)], _target(name, i, faults)
+            )
             rows.append(_bound_row(name, updates, onsets, kind, size))
     return rows
 
@@ -176,20 +195,42 @@ def _delay_rows(name: str, found: Sequence[Trial], target: float) -> list[Row]:
         middle, most = _quantile(late, 0.5), _quantile(late, 0.9)
         words = f"{_words(own[0].kind, own[0].size)}, {name} noise model"
         strict = monitor == "glr" and np.isfinite(target)
-        note = f"90 % within {_seconds(most)}; {len(own)} trials, {len(own) - len(seen)} not within {LONGEST} s"
-        out.append(row("delays", f"median delay of {monitor}, {words}, s", f"at most {target:g}" if strict else "stated",
-                       middle, middle <= target if strict else None, note=note))  # fmt: skip
+        note = (
+            f"90 % within {_seconds(most)}; {len(own)} trials, {len(own) - len(seen)} not within {LONGEST} s"
+        )
+        out.append(
+            row(
+                "delays",
+                f"median delay of {monitor}, {words}, s",
+                f"at most {target:g}" if strict else "stated",
+                _figure(middle),
+                middle <= target if strict else None,
+                note=note,
+            )
+        )
         right = sum(t.named for t in seen)
-        share = right / len(seen) if seen else float("nan")
+        share = right / len(seen) if seen else None
         named = f"{right} of {len(seen)}"
-        out.append(row("delays", f"right satellite named first by {monitor}, {words}", "at least 0.98" if strict else "stated",
-                       share, share >= 0.98 if strict else None,
-                       interval=binomial_interval(right, len(seen)) if seen else None, note=named))  # fmt: skip
+        out.append(
+            row(
+                "delays",
+                f"right satellite named first by {monitor}, {words}",
+                "at least 0.98" if strict else "stated",
+                share,
+                share is not None and share >= 0.98 if strict else None,
+                interval=binomial_interval(right, len(seen)) if seen else None,
+                note=named,
+            )
+        )
     return out
 
 
 def _quantile(late: FloatArray, q: float) -> float:
     return float(np.quantile(late, q, method="inverted_cdf"))
+
+
+def _figure(seconds: float) -> float | str:
+    return seconds if np.isfinite(seconds) else f"more than {LONGEST}"
 
 
 def _seconds(value: float) -> str:
@@ -205,30 +246,31 @@ def _bound_row(name: str, updates: Sequence[Update], onsets: Sequence[int], kind
                 by_satellite.setdefault(group_of(key), []).append(known_fault_delay(span, key, kind, size))
     every = np.array([d for ds in by_satellite.values() for d in ds])
     slow = sorted(by_satellite, key=lambda g: -float(np.median(by_satellite[g])))[:6]
-    note = "slowest (median): " + ", ".join(f"{g} {_seconds(float(np.median(by_satellite[g])))}" for g in slow)
+    note = "slowest (median): " + ", ".join(
+        f"{g} {_seconds(float(np.median(by_satellite[g])))}" for g in slow
+    )
     quantity = f"median delay of the best possible test, {_words(kind, size)}, {name} noise model, s"
-    return row("delays", quantity, "stated", _quantile(every, 0.5), note=f"90 % within {_seconds(_quantile(every, 0.9))}; {note}")
+    return row(
+        "delays",
+        quantity,
+        "stated",
+        _figure(_quantile(every, 0.5)),
+        note=f"90 % within {_seconds(_quantile(every, 0.9))}; {note}",
+    )
 
 
 def known_fault_delay(span: Sequence[Update], key: str, kind: str, size: float, p_fa: float = P_FA) -> float:
     """Return when a matched filter that knows the fault would alarm with probability one half, s.
 
-    Satellite, course, size, sign and onset are known to it, so it need test nothing else: by the lemma of Neyman and
-    Pearson no test of the same `p_fa` under this noise model is more powerful. inf: not within the span.
+    Satellite, course, size, sign and onset are known to it, so it need test nothing else: by the lemma of
+    Neyman and Pearson no test of the same `p_fa` under this noise model is more powerful. inf: not within the
+    span.
     """
     needed = float(special.ndtri(1.0 - p_fa)) ** 2
     seen = 0.0
-    zero = [with_innovation(u) for u in span]
-    for u in faulted(zero, key, kind, size):
+    for u in faulted([shifted(u, np.zeros(len(u.keys))) for u in span], key, kind, size):
         g = whiten(u.L, u.nu)
         seen += float(g @ g)
         if seen >= needed:
             return (u.t_ns - span[0].t_ns) * 1e-9
     return float("inf")
-
-
-def with_innovation(update: Update) -> Update:
-    """Return the update with zero innovations."""
-    from pntegrity.evaluate.campaign import shifted
-
-    return shifted(update, np.zeros(len(update.keys)))

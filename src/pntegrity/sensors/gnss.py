@@ -1,7 +1,7 @@
 """Satellite ranges and range rates: predicted values and their Jacobians.
 
-Satellite positions are Earth-fixed at emission; the frame turns while the signal travels, which the Sagnac term takes
-into account. All vectors are ECEF, metres.
+Satellite positions are Earth-fixed at emission; the frame turns while the signal travels, which the Sagnac
+term takes into account. All vectors are ECEF, metres.
 """
 
 from __future__ import annotations
@@ -34,7 +34,13 @@ def geometry(position_m: FloatArray, sv_pos_m: FloatArray) -> Geometry:
     return Geometry(distance + sagnac, d / distance[:, None])
 
 
-def range_rate(velocity_mps: FloatArray, position_m: FloatArray, sv_pos_m: FloatArray, sv_vel_mps: FloatArray, los: FloatArray) -> FloatArray:
+def range_rate(
+    velocity_mps: FloatArray,
+    position_m: FloatArray,
+    sv_pos_m: FloatArray,
+    sv_vel_mps: FloatArray,
+    los: FloatArray,
+) -> FloatArray:
     """Return the geometric range rate (n,), m/s, positive when the range grows."""
     radial = np.einsum("ij,ij->i", sv_vel_mps - velocity_mps, los)
     sagnac = EARTH_RATE_RADPS / C_MPS * (

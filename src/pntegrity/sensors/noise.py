@@ -1,7 +1,7 @@
 """How large the errors of code and range rate are, and how long they last.
 
-Real code errors are not white: a bias a satellite (orbit, clock, atmosphere, inter-frequency), multipath of some ten
-seconds, and little white noise. The filter carries the first two as first-order Gauss-Markov states.
+Real code errors are not white: a bias a satellite (orbit, clock, atmosphere, inter-frequency), multipath of
+some ten seconds, and little white noise. The filter carries the first two as first-order Gauss-Markov states.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from functools import lru_cache
 import numpy as np
 
 from pntegrity.records import FloatArray
-
 
 #: BDS-2 satellites have numbers up to this one.
 LAST_BDS2 = "18"
@@ -29,13 +28,14 @@ class NoiseModel:
     code_multipath_tau_s : float
         Correlation time of multipath.
     code_smoothing_tau_s : float
-        Time constant of the smoothing that the receiver applies to its code: multipath is then second order. Zero: none.
+        Time constant of the smoothing that the receiver applies to its code: multipath is then second order.
+        Zero: none.
     code_bias_m, code_bias_tau_s : float
-        Slow error of a satellite, scaled by ``1 / sin(elevation)`` up to 3 (atmosphere). Zero `code_multipath_m` or
-        `code_bias_m`: no such states.
+        Slow error of a satellite, scaled by ``1 / sin(elevation)`` up to 3 (atmosphere). Zero
+        `code_multipath_m` or `code_bias_m`: no such states.
     glonass_factor, bds2_factor : float
-        Code errors of GLONASS (lower chip rate, inter-frequency biases) and of BDS-2 (multipath aboard the satellite)
-        are larger by these.
+        Code errors of GLONASS (lower chip rate, inter-frequency biases) and of BDS-2 (multipath aboard the
+        satellite) are larger by these.
     doppler_mps : float
         Range rate noise, scaled like code.
     cn0_ref_dbhz : float
@@ -49,7 +49,8 @@ class NoiseModel:
     isb_m : float
         Inter-system biases, random walk, m/sqrt(s).
     satellites : tuple of (str, float, float)
-        Satellite, code factor, range-rate factor: what a calibration found beside the above, at its site and hours.
+        Satellite, code factor, range-rate factor: what a calibration found beside the above, at its site and
+        hours.
     factors : tuple of (str, float)
         Multipliers of the monitors' thresholds, from a calibration.
     name : str
@@ -77,7 +78,9 @@ class NoiseModel:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if f.type == "float" and not (isinstance(value, int | float) and np.isfinite(value) and value >= 0.0):
+            if f.type == "float" and not (
+                isinstance(value, int | float) and np.isfinite(value) and value >= 0.0
+            ):
                 raise ValueError(f"noise model: `{f.name}` must be a number of at least 0, not {value!r}")
         for tau in ("code_multipath_tau_s", "code_bias_tau_s"):
             if getattr(self, tau) <= 0.0:
@@ -92,7 +95,9 @@ class NoiseModel:
         return dict(self.factors).get(monitor, 1.0)
 
     def scale(self, el_rad: FloatArray, cn0_dbhz: FloatArray) -> FloatArray:
-        """Return how much larger than at the zenith the noise is: ``1/sin el``, and more below the reference C/N0."""
+        """Return how much larger than at the zenith the noise is: ``1/sin el``, and more below the reference
+        C/N0.
+        """
         low = np.nan_to_num(self.cn0_ref_dbhz - cn0_dbhz, nan=0.0)
         return np.asarray(10.0 ** (np.maximum(low, 0.0) / 20.0) / np.sin(np.maximum(el_rad, np.deg2rad(3.0))))
 
@@ -101,8 +106,18 @@ class NoiseModel:
         return np.asarray(np.minimum(1.0 / np.sin(np.maximum(el_rad, 0.1)), 3.0))
 
     def code_factor(self, keys: tuple[str, ...]) -> FloatArray:
-        """Return by how much the code errors of the rows' satellites are larger than those of GPS, shape (n,)."""
+        """Return by how much the fast code errors of the rows' satellites are larger than those of GPS, shape
+        (n,).
+        """
         return _code_factor(keys, self.glonass_factor, self.bds2_factor, self.satellites)
+
+    def bias_factor(self, keys: tuple[str, ...]) -> FloatArray:
+        """Return by how much the biases of the rows' constellations are larger than those of GPS, shape (n,).
+
+        What a calibration finds of single satellites is not in it: a log is too short to show how large a
+        bias may be.
+        """
+        return _code_factor(keys, self.glonass_factor, self.bds2_factor, ())
 
     def rate_factor(self, keys: tuple[str, ...]) -> FloatArray:
         """Return by how much the range-rate errors of the rows' satellites are larger, shape (n,)."""
@@ -114,9 +129,10 @@ class NoiseModel:
         Parameters
         ----------
         scale, slow : ndarray, shape (n,)
-            `scale` and `obliquity`, each times `code_factor`.
+            `scale` times `code_factor`, and `obliquity` times `bias_factor`.
         """
-        return np.hypot(np.hypot(self.code_white_m, self.code_multipath_m) * scale, self.code_bias_m * slow)
+        fast = np.hypot(self.code_white_m, self.code_multipath_m)
+        return np.asarray(np.hypot(fast * scale, self.code_bias_m * slow))
 
 
 @lru_cache(maxsize=512)

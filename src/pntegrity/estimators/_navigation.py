@@ -1,0 +1,132 @@
+"""What the GNSS estimators share: a wide prior around a fix, and the update with code and range-rate rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pntegrity.estimators._errors import error_kinds, error_states, stationary
+from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, snapshot, system_of
+from pntegrity.estimators._layout import columns
+from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update, group_of
+from pntegrity.sensors.noise import NoiseModel
+
+#: Standard deviations of a start, far above those of the snapshot that gives the mean.
+START_POS_M, START_VEL_MPS, START_CLOCK_M, START_DRIFT_MPS = 300.0, 100.0, 1000.0, 1000.0
+START_VARIANCE = np.array([START_POS_M] * 3 + [START_VEL_MPS] * 3 + [START_CLOCK_M, START_DRIFT_MPS]) ** 2
+MOTION = ("pos:x", "pos:y", "pos:z", "vel:x", "vel:y", "vel:z")
+
+
+def no_prior(t_ns: int, n_old: int, events: tuple[str, ...]) -> Prior:
+    """Return the empty prior of an epoch at which nothing could be started; the last event is the reason."""
+    return Prior(State.empty(t_ns), np.zeros((0, n_old)), np.zeros((0, 0)), events=events)
+
+
+def fix_prior(
+    epoch: Epoch, options: GnssOptions, guess_m: FloatArray, n_old: int, noise: NoiseModel,
+    events: tuple[str, ...],
+    exclude: frozenset[str] = frozenset(),
+) -> Prior:  # fmt: skip
+    """Return the wide prior around an epoch's least-squares fix without the groups in `exclude`, or an empty
+    one.
+
+    A constellation whose satellites are all left out keeps its clock state, unobserved, so that they can
+    prove themselves.
+    """
+    fix = snapshot(epoch, options, guess_m, exclude)
+    if fix.reason:
+        return no_prior(epoch.t_ns, n_old, (*events, fix.reason))
+    rows = code_rows(epoch, fix.position_m, options)
+    unseen = sorted({system_of(k) for k in rows.keys} - set(fix.clocks_m))
+    residual = rows.y - rows.predicted
+    of = np.array([system_of(k) for k in rows.keys])
+    guesses = {s: float(np.median(residual[of == s])) for s in unseen}
+    prior = start_prior(replace(fix, clocks_m=fix.clocks_m | guesses), rows, epoch.t_ns, n_old, noise, events)
+    return replace(prior, consumed=prior.consumed - len(unseen))
+
+
+def start_prior(
+    fix: Fix, rows: Rows, t_ns: int, n_old: int, noise: NoiseModel, events: tuple[str, ...]
+) -> Prior:
+    """Return the wide prior around a snapshot fix; the states that the data initialise are counted as
+    consumed.
+    """
+    reference = next(iter(fix.clocks_m))
+    names = (*MOTION, f"clk:{reference}", "drift", *(f"isb:{s}" for s in fix.clocks_m if s != reference))
+    layout = Layout((*names, *error_states(rows.keys, error_kinds(noise))))
+    mean, sigma = np.zeros(len(layout)), np.zeros(len(layout))
+    mean[:3], sigma[:3] = fix.position_m, START_POS_M
+    mean[3:6] = 0.0 if fix.velocity_mps is None else fix.velocity_mps
+    sigma[3:6] = START_VEL_MPS
+    mean[6], sigma[6], mean[7], sigma[7] = (
+        fix.clocks_m[reference],
+        START_CLOCK_M,
+        fix.drift_mps,
+        START_DRIFT_MPS,
+    )
+    for i, name in enumerate(layout.names[8:], 8):
+        if name.startswith("isb:"):
+            mean[i], sigma[i] = fix.clocks_m[name[4:]] - fix.clocks_m[reference], START_CLOCK_M
+    Q = np.diag(sigma**2)
+    stationary(Q, layout, rows, noise)
+    consumed = 3 + len(fix.clocks_m) + (4 if fix.velocity_mps is not None else 0)
+    return Prior(State(t_ns, mean, Q, layout), np.zeros((len(layout), n_old)), Q, consumed, events, rows)
+
+
+def linear_update(
+    prior: Prior,
+    code: Rows,
+    rate: Rows,
+    code_sigma_m: FloatArray,
+    rate_sigma_mps: FloatArray,
+    exclude: frozenset[str],
+) -> Update:
+    """Return the update of a prior with code and rate rows; the rows of `exclude` become the update's spare
+    rows.
+    """
+    x, layout = prior.state.mean, prior.state.layout
+    H = np.vstack([_code_jacobian(layout, code), _rate_jacobian(layout, rate)])
+    nu = np.concatenate([code.y - code.predicted, rate.y - rate.predicted])
+    nu -= np.concatenate([H[: len(code.keys), 6:] @ x[6:], np.full(len(rate.keys), x[7])])
+    variance = np.concatenate([code_sigma_m, rate_sigma_mps]) ** 2
+    keys = code.keys + rate.keys
+    used = np.array([group_of(k) not in exclude for k in keys], dtype=bool)
+    angles = {
+        name: np.concatenate([getattr(code, name), getattr(rate, name)])[used]
+        for name in ("el_rad", "az_rad", "cn0_dbhz")
+    }
+    facts = {"aux": angles, "reason": "" if used.any() else "no satellite above the mask"}
+    update = Update.of(
+        prior,
+        tuple(k for k, u in zip(keys, used, strict=True) if u),
+        nu[used],
+        H[used],
+        np.diag(variance[used]),
+        **facts,
+    )
+    return (
+        update
+        if used.all()
+        else update.with_spares(
+            tuple(keys[i] for i in np.flatnonzero(~used)), nu[~used], H[~used], variance[~used]
+        )
+    )
+
+
+def _code_jacobian(layout: Layout, rows: Rows) -> FloatArray:
+    H = np.zeros((len(rows.keys), len(layout)))
+    H[:, :3] = -rows.los
+    H[:, 6] = 1.0
+    for prefix, names in (("isb", [system_of(k) for k in rows.keys]), ("bias", rows.keys), ("mp", rows.keys)):
+        i = columns(layout, tuple(f"{prefix}:{n}" for n in names))
+        here = np.flatnonzero(i >= 0)
+        H[here, i[here]] = 1.0
+    return H
+
+
+def _rate_jacobian(layout: Layout, rows: Rows) -> FloatArray:
+    H = np.zeros((len(rows.keys), len(layout)))
+    H[:, 3:6] = -rows.los
+    H[:, 7] = 1.0
+    return H

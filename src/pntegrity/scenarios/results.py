@@ -1,0 +1,220 @@
+"""All evidence campaigns by name, and their figures as the page docs/results.md."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pntegrity.scenarios._real_logs import Row, row, skipped
+
+__all__ = ["CAMPAIGNS", "Campaign", "page", "run_campaign", "section", "summary_line"]
+
+PACKAGES = ("numpy", "scipy", "numba", "sidereon")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """One campaign.
+
+    Parameters
+    ----------
+    name, title, text : str
+        For the command line, the page's heading, and what was done.
+    run : callable
+        Data folder -> rows.
+    real : bool
+        Whether it needs the data folder.
+    """
+
+    name: str
+    title: str
+    text: str
+    run: Callable[[Path], Sequence[Row]]
+    real: bool = True
+
+
+def _spp8(data: Path) -> list[Row]:
+    from pntegrity.scenarios.evidence_spp8 import evidence
+
+    return [
+        row("spp8", r["quantity"], r["must"], r["measured"], r["ok"], interval=r["interval"])
+        for r in evidence()
+    ]
+
+
+def _sraime(data: Path) -> list[Row]:
+    from pntegrity.scenarios.reproduce_sraime_spp import reproduce
+
+    return [
+        row("sraime-spp", r["quantity"], r["published"], r["measured"], r["ok"], note=r["note"])
+        for r in reproduce().rows
+    ]
+
+
+def _clean(data: Path) -> list[Row]:
+    from pntegrity.scenarios.evidence_real import clean
+
+    return clean(data)
+
+
+def _delays(data: Path) -> list[Row]:
+    from pntegrity.scenarios.evidence_real import delays
+
+    return delays(data)
+
+
+def _faults(data: Path) -> list[Row]:
+    from pntegrity.scenarios.evidence_faults import faults
+
+    return faults(data)
+
+
+def _receivers(data: Path) -> list[Row]:
+    from pntegrity.scenarios.evidence_receivers import receivers
+
+    return receivers(data)
+
+
+def _speed(data: Path) -> list[Row]:
+    from pntegrity.scenarios.evidence_receivers import speed
+
+    return speed(data)
+
+
+_ALL = (
+    Campaign(
+        "spp8", "Simulation: false-alarm rates, power and delay",
+        "The 8-state positioning filter with 10 satellites, code 1 m, range rate 0.1 m/s, 1 Hz; the "
+        "innovations are drawn"
+        " white, so a false-alarm rate is a property of the monitor alone.", _spp8, real=False,
+    ),
+    Campaign(
+        "clean", "Real static receiver, no fault",
+        "BRUX, 900 epochs at 1 Hz of GPS, GLONASS, Galileo and BDS. The noise model is fitted to the first "
+        "half; alarms and"
+        " whiteness are those of the second. 450 correlated epochs cannot prove a rate of 1e-6: they can "
+        "only refute it. The"
+        " white model is the best of its kind: its sigma is fitted to the same data.", _clean,
+    ),
+    Campaign(
+        "delays", "Real static receiver: how soon a fault on one code is seen",
+        "The same log, second half, each satellite in turn, four onsets, P_FA 1e-6. The best possible test "
+        "knows satellite,"
+        " course, size, sign and onset: under the same noise model nothing sees the fault sooner with "
+        "probability one half.",
+        _delays,
+    ),
+    Campaign(
+        "faults", "Real static receiver: injected faults through the whole pipeline",
+        "The same log, second half, random satellites, sizes, signs and onsets. With few satellites the "
+        "filter ran for a"
+        " minute on these alone before the fault; the snapshot has the one epoch.", _faults,
+    ),
+    Campaign(
+        "receivers", "Other receivers, not calibrated",
+        "What the conservative defaults and a fit to the first half of each log say on its second half. In "
+        "the urban canyon"
+        " most measurements are reflected: alarms there are true ones, and the fit takes the reflections for "
+        "noise.", _receivers,
+    ),
+    Campaign(
+        "speed", "Speed of the main job", "A whole process each time, from the files to the report.", _speed
+    ),
+    Campaign(
+        "sraime-spp", "The published SPP experiment (Table 1 of the SRAIME paper)",
+        "The column *must* holds the published figure; *met* tells whether it is reproduced.", _sraime,
+        real=False,
+    ),
+)  # fmt: skip
+CAMPAIGNS: Mapping[str, Campaign] = {c.name: c for c in _ALL}
+
+
+def run_campaign(name: str, data: Path | None) -> list[Row]:
+    """Return the rows of a campaign; one that needs real data and has none says so.
+
+    Parameters
+    ----------
+    name : str
+        Of `CAMPAIGNS`.
+    data : Path, optional
+        Folder of the real logs.
+    """
+    from threadpoolctl import threadpool_limits
+
+    campaign = CAMPAIGNS[name]
+    if campaign.real and (data is None or not data.is_dir()):
+        return skipped(name, "no folder with the real logs was given (--data)")
+    with threadpool_limits(1, user_api="blas"):
+        return list(campaign.run(data or Path()))
+
+
+def page(text: str, found: Mapping[str, Sequence[Row]]) -> str:
+    """Return the page with the sections of some campaigns replaced; what is missing in `text` is appended.
+
+    Parameters
+    ----------
+    text : str
+        The page so far; empty: a new one.
+    found : mapping of str to rows
+    """
+    text = text or "# Results\n\nEvery figure on this page is made by the command above its table.\n"
+    for name, rows in found.items():
+        begin, end = f"<!-- evidence {name} -->", f"<!-- end of evidence {name} -->"
+        block = f"{begin}\n{section(CAMPAIGNS[name], rows)}{end}"
+        marked = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+        parts = marked.split(text, maxsplit=1)
+        text = block.join(parts) if len(parts) > 1 else f"{text.rstrip()}\n\n{block}\n"
+    return text
+
+
+def section(campaign: Campaign, rows: Sequence[Row]) -> str:
+    """Return one campaign as Markdown: what was done, the command, the table, the versions."""
+    option = " --data FOLDER" if campaign.real else ""
+    head = ("quantity", "must", "measured", "99 % interval", "met", "note")
+    lines = [
+        f"## {campaign.title}", "", campaign.text, "",
+        "```", f"pntegrity evidence {campaign.name}{option} --write docs/results.md", "```", "",
+        "| " + " | ".join(head) + " |", "|" + "---|" * len(head), *(_line(r) for r in rows), "",
+        f"*{_versions()}*", "",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def summary_line(rows: Sequence[Row]) -> str:
+    """Return how many requirements were met, and which were not."""
+    judged = [r for r in rows if r["ok"] is not None]
+    missed = [r["quantity"] for r in judged if not r["ok"]]
+    met = f"{len(judged) - len(missed)} of {len(judged)} requirements met"
+    text = f"{met}, {len(rows) - len(judged)} figures stated"
+    return text + ("; missed: " + "; ".join(missed) if missed else "")
+
+
+def _line(r: Row) -> str:
+    met = {True: "yes", False: "**no**", None: ""}[r["ok"]]
+    cells = (
+        r["quantity"],
+        _text(r["must"]),
+        _text(r["measured"]),
+        _text(r["interval"], " to "),
+        met,
+        r["note"],
+    )
+    return "| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |"
+
+
+def _text(value: Any, joint: str = "-") -> str:
+    if value is None or value == []:
+        return ""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return joint.join(_text(v) for v in value)
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _versions() -> str:
+    return ", ".join(f"{name} {version(name)}" for name in PACKAGES)
