@@ -1,6 +1,7 @@
 # Everything a newcomer needs: `make demo`, `make test`. Every target installs what it needs into .venv first.
 PYTHON ?= python3
 VENV := .venv
+BENCH := .venv-bench
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install -q
 JOBS ?= 2
@@ -35,8 +36,14 @@ lint: $(VENV)/.installed-test  ## ruff, mypy, import-linter
 test: lint  ## lint, then all tests
 	$(BIN)/pytest -n $(JOBS)
 
-bench: $(VENV)/.installed-bench  ## cost of every stage, beside other tools
-	$(BIN)/pytest benchmarks
+# An environment of its own: gnss_lib_py wants older versions of what we use.
+$(BENCH)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(BENCH)
+	$(BENCH)/bin/python -m pip --disable-pip-version-check install -q -e '.[bench]'
+	@touch $@
+
+bench: $(BENCH)/.installed  ## cost of every stage, beside other tools
+	$(BENCH)/bin/pytest benchmarks
 
 docs: $(VENV)/.installed-docs  ## the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
@@ -46,5 +53,5 @@ results: $(VENV)/.installed  ## measure every figure of docs/results.md again; D
 	$(BIN)/pntegrity evidence all $(if $(DATA),--data '$(DATA)') --write docs/results.md
 
 clean:           ## remove what the targets made
-	rm -rf $(VENV) docs/_build demo-results build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache
+	rm -rf $(VENV) $(BENCH) docs/_build demo-results build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,3 +1,1 @@
-"""What each stage costs, beside other tools on the same file. Not part of the tests: ``pytest
-benchmarks``.
-"""
+"""What each stage costs, beside other tools on the same file; run by ``pytest benchmarks``."""

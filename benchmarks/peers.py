@@ -72,12 +72,8 @@ def compare(work: Workload, tools: dict[str, Any], rounds: int) -> dict[str, dic
             each = cpu_of(tool.all_states, rounds) / len(work.loaded.epochs)
             _put(table, "satellite states", name, each)
         elif hasattr(tool, "states"):
-            _put(
-                table,
-                "satellite states",
-                name,
-                cpu_each(lambda k, tool=tool: tool.prepare(k, False), tool.states, span, rounds)[0],
-            )
+            each = cpu_each(_preparing(tool, False), tool.states, span, rounds)[0]
+            _put(table, "satellite states", name, each)
         for stage, run, faulted in (
             ("position", tool.fix, False),
             ("position, test, exclusion", tool.fix_excluding, False),
@@ -95,7 +91,7 @@ def _put(
 
 
 def _timed(tool: Any, run: Callable[[Any], Fix], faulted: bool, rounds: int) -> tuple[float, list[Fix]]:
-    seconds, fixes = cpu_each(lambda k: tool.prepare(k, faulted), run, range(FIRST, LAST), rounds)
+    seconds, fixes = cpu_each(_preparing(tool, faulted), run, range(FIRST, LAST), rounds)
     if not hasattr(tool, "left_out"):
         return seconds, fixes
     named = []
@@ -106,6 +102,10 @@ def _timed(tool: Any, run: Callable[[Any], Fix], faulted: bool, rounds: int) -> 
     return seconds, named
 
 
+def _preparing(tool: Any, faulted: bool) -> Callable[[int], Any]:
+    return lambda k: tool.prepare(k, faulted)
+
+
 def rms_m(work: Workload, ks: Sequence[int], fixes: Sequence[Fix]) -> float:
     """Return the horizontal RMS of the positions there are, nan where there is none."""
     h = [
@@ -114,8 +114,7 @@ def rms_m(work: Workload, ks: Sequence[int], fixes: Sequence[Fix]) -> float:
     return float(np.sqrt(np.mean(np.square(h)))) if h else float("nan")
 
 
-# --- the page
-# ---------------------------------------------------------------------------------------------------
+# --- the page ---------------------------------------------------------------------------------------
 
 
 def page(work: Workload, rounds: int) -> str:
@@ -126,11 +125,11 @@ def page(work: Workload, rounds: int) -> str:
     baseline = table["position"].get("RTKLIB")
     parts = [
         "# Benchmarks\n",
-        f"Written by `{COMMAND}` (`pip install -e '.[bench]'`; `pytest benchmarks` measures the stages "
+        f"Written by `{COMMAND}`\n(`pip install -e '.[bench]'`; `pytest benchmarks` measures the stages "
         "alone, "
-        "`python -m benchmarks.process` the whole command). All times are CPU time in one thread, the "
+        "`python -m benchmarks.process` the whole command).\nAll times are CPU time in one thread, the "
         "fastest of "
-        f"{rounds} rounds; ratios compare within this run and carry over to other machines better than "
+        f"{rounds} rounds. Ratios compare within this run and\ncarry over to other machines better than "
         "milliseconds do.\n",
         _setting(work, tools, absent),
         "## Cost beside other tools\n",
@@ -141,8 +140,9 @@ def page(work: Workload, rounds: int) -> str:
         _accuracy_table(work, table, tools),
         f"## Three satellites {FAULT_M:g} m off at once\n",
         f"{', '.join(FAULTED)}: {FAULT_M:g} m on the code of each in epochs {FIRST} to {LAST - 1}. A "
-        "snapshot tool meets "
-        "each epoch alone; the filter meets them in time order, all five monitors at 1e-6.\n",
+        "snapshot "
+        "tool meets each epoch alone;\nthe filter meets them in time order, with all five monitors at "
+        "1e-6.\n",
         _fault_table(work, table, tools),
         "## Our stages\n",
         "CPU ms an epoch"
@@ -168,18 +168,16 @@ def _setting(work: Workload, tools: dict[str, Any], absent: dict[str, str]) -> s
     versions = ", ".join(
         f"{n} {t.version}" if n not in t.version.lower() else t.version for n, t in tools.items()
     )
-    counts = [len(e.sensor("code").keys) for e in work.loaded.epochs if e.sensor("code") is not None]
+    codes = [code for e in work.loaded.epochs if (code := e.sensor("code")) is not None]
     ionosphere = (
-        "Klobuchar"
-        if work.loaded.klobuchar is not None
-        else "no ionosphere model (the file has no coefficients)"
+        "Klobuchar" if work.loaded.klobuchar else "no ionosphere model (the file has no coefficients)"
     )
     lines = [
         f"File: BRUX, {len(work.loaded.epochs)} epochs at 1 Hz, GPS + GLONASS + Galileo + BDS, "
-        f"{np.mean(counts):.0f} codes an "
-        "epoch before the 10 degree mask. All tools: one frequency, broadcast ephemerides, Saastamoinen, "
-        f"{ionosphere}. "
-        f"Costs, and the faults below, are of the {LAST - FIRST} epochs from {FIRST} on.\n",
+        f"{np.mean([len(c.keys) for c in codes]):.0f} codes an epoch before the\n10 degree mask. All tools: "
+        "one "
+        f"frequency, broadcast ephemerides, Saastamoinen, {ionosphere}.\nCosts, and the faults below, are of "
+        f"the {LAST - FIRST} epochs from {FIRST} on.\n",
         f"Versions: {versions}.\n",
     ]
     lines += [f"Not run: {why}.\n" for why in absent.values()]
@@ -219,12 +217,10 @@ def _whole(table: dict[str, dict[str, Cell]]) -> dict[str, Cell]:
 def _cost_notes(tools: dict[str, Any]) -> str:
     notes = [f"- {n} is given: {t.given}." for n, t in tools.items() if t.given]
     notes += [
-        "- RTKLIB and sidereon make the satellite states inside the position; sidereon has no call for them "
-        "alone on a file.",
-        "- RTKLIB's row for navigation reads and sorts; ours and sidereon's also check every record.",
-        "- gnss_lib_py reads 20 epochs of the file: `RinexObs` grows faster than the file.",
-        "- Ours includes a velocity fix of the range rates, as RTKLIB's does; sidereon's and gnss_lib_py's "
-        "do not.",
+        "- RTKLIB and sidereon make the satellite states inside the position.",
+        "- gnss_lib_py reads only the first 20 epochs of the file.",
+        "- Ours includes a velocity fix from range rates, as RTKLIB's does; sidereon's and gnss_lib_py's do "
+        "not.",
     ]
     return "\n".join(notes) + "\n"
 

@@ -1,8 +1,8 @@
-"""The whole command on BRUX: five monitors, exclusion, report. ``python -m benchmarks.process --data
-FOLDER``.
+"""The whole command on BRUX: five monitors, exclusion, report.
 
-The first call, which fills numba's cache, is not counted. With ``--profile N`` it also prints the N most
-expensive functions of one more run (CPU time under cProfile, which weighs small functions too heavily).
+``python -m benchmarks.process --data FOLDER``. The first call, which fills numba's cache, is not counted.
+With ``--profile N`` it also prints the N most expensive functions of one more run (CPU time under cProfile,
+which weighs small functions too heavily).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def measure(command: list[str], times: int) -> list[tuple[float, float]]:
 
 def show(name: str, found: list[tuple[float, float]]) -> float:
     """Print the medians of a measurement; return that of CPU time."""
-    wall, cpu = (statistics.median(column) for column in zip(*found, strict=True))
+    wall, cpu = statistics.median(w for w, _ in found), statistics.median(c for _, c in found)
     print(f"{name:34} wall {wall:6.2f} s (best {min(w for w, _ in found):.2f})   CPU {cpu:6.2f} s")
     return cpu
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ def log_stages(work: Workload) -> Iterator[Stage]:
         updates = found[-1][1] if name == "spp_kf" else updates
     for name, variant in monitor_variants():
         monitor = make_monitor(name, 1e-6, variant)
-        yield Stage(f"{name}, {variant}: step", n, lambda m=monitor: _stepped(m, updates))
+        yield Stage(f"{name}, {variant}: step", n, partial(_stepped, monitor, updates))
     yield from _driving(work, n)
 
 
@@ -107,10 +108,8 @@ def _corrected(work: Workload, estimator: Any, priors: Sequence[Prior]) -> None:
 def _stepped(monitor: Any, updates: Sequence[Update]) -> None:
     memory = monitor.start()
     for update in updates:
-        for lazy in ("white", "absorbed"):
-            update.__dict__.pop(
-                lazy, None
-            )  # made once an update and then kept: every round must make them again
+        for lazy in ("white", "absorbed"):  # made once and then kept: every round must make them again
+            update.__dict__.pop(lazy, None)
         _, memory = monitor.step(memory, update)
 
 

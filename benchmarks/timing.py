@@ -22,13 +22,13 @@ def cpu_of(run: Callable[[], object], rounds: int = 3) -> float:
 def cpu_each(
     prepare: Callable[[int], Any], run: Callable[[Any], Any], epochs: Iterable[int], rounds: int = 3
 ) -> tuple[float, list[Any]]:
-    """Return the mean CPU time of a call a epoch, s, of the fastest round, and what the calls of the last one
-    returned.
+    """Return the mean CPU time of a call, s, in the fastest round, and what the last round returned.
 
-    `prepare` is not timed.
+    `prepare` is not timed, nor is a first call that warms caches.
     """
     chosen = list(epochs)
-    best, results = float("inf"), []
+    best, results = float("inf"), list[Any]()
+    run(prepare(chosen[0]))
     for _ in range(rounds):
         spent, results = 0.0, []
         for k in chosen:

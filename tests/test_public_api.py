@@ -104,11 +104,14 @@ def test_the_example_hands_over_what_the_filter_did(own_filter):
     assert update.keys == ("z0:L", "z1:L", "z2:L")
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"H": np.eye(3)}, {"R": np.eye(2)}, {"nu": np.zeros(2)}, {"P_prior": np.eye(3)}],
-    ids=lambda w: next(iter(w)),
-)
+WRONG = [
+    {"H": np.eye(3)}, {"R": np.eye(2)}, {"nu": np.zeros(2)}, {"P_prior": np.eye(3)}, {"F": np.eye(3)},
+    {"Q": np.eye(3)},
+    {"F": 1.0}, {"keys": ("a:L", "b:L")}, {"keys": ("a:L", "a:L", "b:L")}, {"states": ("pos:x",)},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda w: next(iter(w)))
 def test_matrices_that_do_not_fit_are_refused_with_their_shapes(wrong):
     good = {
         "F": np.eye(2),
@@ -118,7 +121,8 @@ def test_matrices_that_do_not_fit_are_refused_with_their_shapes(wrong):
         "P_prior": np.eye(2),
         "nu": np.zeros(3),
     }
-    with pytest.raises(ValueError, match=r"`H` .* do not fit \d rows and \d states"):
+    assert Update.from_filter(0, **good).keys == ("z0:L", "z1:L", "z2:L")
+    with pytest.raises(ValueError, match=r"do not fit|`keys` must be 3 different names"):
         Update.from_filter(0, **(good | wrong))
 
 

@@ -1,5 +1,4 @@
-"""gnss_lib_py: `solve_wls` and its greedy residual exclusion (`solve_fde`), with states and atmosphere from
-ours.
+"""gnss_lib_py: `solve_wls` and its greedy residual exclusion (`solve_fde`), fed by ours.
 
 Its satellite states come from files that it downloads, its solver has one receiver clock, and it does not
 model the troposphere. So it is handed pseudoranges that need nothing more: satellite clocks, atmosphere and

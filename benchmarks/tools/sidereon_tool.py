@@ -12,10 +12,10 @@ from benchmarks.workload import FAULT_M, FAULTED, Workload
 
 
 class Sidereon:
-    """`solve_broadcast` and `fde_broadcast`, started at the header's position."""
+    """`solve_broadcast` and `fde_broadcast`."""
 
     name = "sidereon"
-    given = ""
+    given = "a position 170 m off to start from (the others start at the Earth's centre)"
 
     def __init__(self, work: Workload, p_fa: float = 1e-6, most: int = 8) -> None:
         import sidereon

@@ -130,12 +130,12 @@ class Pipeline:
             raise ValueError(f"epoch at {epoch.t_ns} ns is not after the last one at {now.state.t_ns} ns")
         first = self._attempt(now, epoch, {})
         last, exclusions, reason = self._resolve(now, epoch, first)
-        misfit, released = _misfit(last.updates[-1], self.policy), tuple(now.standing)
-        if misfit:
-            now = replace(now, standing={})
-            last, exclusions, reason = self._attempt(now, epoch, {}, last.history[-1].relaxed), (), misfit
-        outcome, self.checkpoint = self._commit(now, epoch, first, last, exclusions, reason)
-        return replace(outcome, readmitted=released) if misfit else outcome
+        kept = {g: s for g, s in now.standing.items() if g in last.excluded}
+        outcome, self.checkpoint = self._commit(
+            replace(now, standing=kept), epoch, first, last, exclusions, reason
+        )
+        released = tuple(g for g in now.standing if g not in kept)
+        return replace(outcome, readmitted=released + outcome.readmitted)
 
     def _resolve(
         self, now: Checkpoint, epoch: Epoch, attempt: _Attempt
@@ -154,6 +154,11 @@ class Pipeline:
             new = tuple(e for e in decision.exclusions if e.group not in attempt.excluded)
             reasons.append(_ambiguity(decision) if new else decision.reason)
             if not new:
+                break
+            misfit = _misfit(attempt.updates[-1], new, self.policy)
+            if misfit:
+                return self._attempt(replace(now, standing={}), epoch, {}, relaxed), (), misfit
+            if any(e.onset_ns < epoch.t_ns for e in new) and not _repair_is_due(now, epoch):
                 break
             made += new
             attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed)
@@ -240,14 +245,19 @@ class Pipeline:
         return outcome, checkpoint
 
 
-def _misfit(update: Update, policy: Policy) -> str:
-    """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for
-    it.
-    """
-    out, used = len(update.excluded), len(update.groups())
-    if not policy.exclude or out <= policy.most_excluded * (out + used):
+def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
+    """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for it."""
+    out = len(update.excluded) + len({e.group for e in new})
+    total = len(update.excluded) + len(update.groups())
+    if out <= policy.most_excluded * total:
         return ""
-    return f"{out} of {out + used} would be left out: the model does not fit the data, all are kept"
+    return f"{out} of {total} would be left out: the model does not fit the data, all are kept"
+
+
+def _repair_is_due(now: Checkpoint, epoch: Epoch) -> bool:
+    """Tell whether to try a repair of the past: 0, 1, 2, 4, 8, ... s after the beginning of an alert."""
+    waited = 0 if now.alert_since_ns is None else (epoch.t_ns - now.alert_since_ns) // 1_000_000_000
+    return waited & (waited - 1) == 0
 
 
 def _alert(verdicts: Sequence[Verdict]) -> bool:

@@ -197,6 +197,10 @@ class Prior:
         _freeze(self, "F", "Q")
 
 
+#: What an `Update` keeps beside its fields, as long as it is in use.
+GAINS = ("S", "L", "K", "absorbed")
+
+
 @dataclass(frozen=True, eq=False)
 class Update:
     """One epoch of any linear(ised) filter: all that a monitor may see.
@@ -327,21 +331,18 @@ class Update:
         ValueError
             Where shapes do not fit, with the shapes.
         """
-        nu_, P = (
-            np.atleast_1d(np.asarray(nu, dtype=np.float64)).ravel(),
-            np.asarray(P_prior, dtype=np.float64),
-        )
+        nu_, P, F_, Q_ = (np.asarray(a, dtype=np.float64) for a in (nu, P_prior, F, Q))
+        nu_, H_, R_ = nu_.reshape(-1), *(np.atleast_2d(np.asarray(a, dtype=np.float64)) for a in (H, R))
         m, n = len(nu_), len(P)
-        H_, R_ = (
-            np.atleast_2d(np.asarray(H, dtype=np.float64)),
-            np.atleast_2d(np.asarray(R, dtype=np.float64)),
-        )
         if H_.shape != (m, n) or R_.shape != (m, m):
             raise ValueError(f"`H` {H_.shape} and `R` {R_.shape} do not fit {m} rows and {n} states")
+        if F_.ndim != 2 or len(F_) != n or Q_.shape != (n, n):
+            raise ValueError(f"`F` {F_.shape} and `Q` {Q_.shape} do not fit {n} states")
+        if keys and len(set(keys)) != m:
+            raise ValueError(f"`keys` must be {m} different names, one a row, not {keys}")
         names = Layout(states or tuple(f"pos:{i}" for i in range(n)))
         state = State(t_ns, np.zeros(n), P, names)
-        prior = Prior(state, np.asarray(F, dtype=np.float64), np.asarray(Q, dtype=np.float64))
-        return Update.of(prior, keys or tuple(f"z{i}:L" for i in range(m)), nu_, H_, R_)
+        return Update.of(Prior(state, F_, Q_), keys or tuple(f"z{i}:L" for i in range(m)), nu_, H_, R_)
 
     @cached_property
     def S(self) -> FloatArray:
@@ -368,11 +369,21 @@ class Update:
         """Whitened innovation ``L^-1 nu``: independent unit normals under the null hypothesis, shape (m,)."""
         return frozen(whiten(self.L, self.nu))
 
+    def altered(self, **changes: Any) -> Update:
+        """Return the update with other fields and the same gains: not for `H`, `R`, `prior` or `posterior`."""
+        out = replace(self, **changes)
+        out.__dict__.update({n: self.__dict__[n] for n in GAINS if n in self.__dict__})
+        return out
+
+    def release(self) -> None:
+        """Forget what can be computed again; a long run keeps all its updates."""
+        for name in ("white", *GAINS):
+            self.__dict__.pop(name, None)
+
     def with_spares(
         self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, variance: FloatArray
     ) -> Update:
-        """Return the update with rows that were left out: their residuals against the posterior and their
-        variances.
+        """Return the update with rows left out: residuals against the posterior, and their variances.
 
         Parameters
         ----------
@@ -382,15 +393,8 @@ class Update:
         """
         step = self.posterior.mean - self.prior.mean
         spread = variance + np.einsum("ij,jk,ik->i", H, self.posterior.P, H)
-        out = replace(
-            self,
-            spare_keys=keys,
-            spare_nu=nu - H @ step,
-            spare_var=spread,
-            excluded=tuple(dict.fromkeys(map(group_of, keys))),
-        )
-        out.__dict__.update({n: self.__dict__[n] for n in ("S", "L", "K") if n in self.__dict__})
-        return out
+        groups = tuple(dict.fromkeys(map(group_of, keys)))
+        return self.altered(spare_keys=keys, spare_nu=nu - H @ step, spare_var=spread, excluded=groups)
 
     def groups(self) -> dict[str, npt.NDArray[np.intp]]:
         """Return the rows of each group, in order of first appearance."""

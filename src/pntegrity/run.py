@@ -26,6 +26,8 @@ from pntegrity.simulate.faults import apply_faults, describe, parse_fault
 
 __all__ = ["RunResult", "load_epochs", "run"]
 
+#: Epochs after which an update is no longer in any window, and its gains are let go of.
+KEPT = 1000
 Progress = Callable[[str, int, int], None]
 
 
@@ -114,10 +116,18 @@ def _loop(
     try:
         for i, epoch in enumerate(epochs):
             outcomes.append(pipeline.push(epoch))
+            if i >= KEPT:
+                release(outcomes[i - KEPT])
             progress("monitoring", i + 1, len(epochs))
     except KeyboardInterrupt:
         return tuple(outcomes), True
     return tuple(outcomes), False
+
+
+def release(outcome: Outcome) -> None:
+    """Let go of what an outcome's updates can compute again."""
+    for update in outcome.updates:
+        update.release()
 
 
 def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], interrupted: bool) -> RunFacts:

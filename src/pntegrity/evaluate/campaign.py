@@ -9,13 +9,13 @@ remembered of the clean epochs before the onset.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pntegrity.kernels.windows import respond
 from pntegrity.protocols import Monitor
-from pntegrity.records import FloatArray, Update, group_of
+from pntegrity.records import Update, group_of
 
 __all__ = ["Trial", "faulted", "trials"]
 
@@ -56,14 +56,7 @@ def faulted(updates: Sequence[Update], key: str, kind: str, size: float) -> Iter
         tau = (u.t_ns - updates[0].t_ns) * 1e-9
         f = np.array([[size * (tau if kind == "ramp" else 1.0) * (k == key)] for k in u.keys])
         g, e = respond(e, u.F, u.H, u.K, f)
-        yield shifted(u, u.nu + g[:, 0])
-
-
-def shifted(update: Update, nu: FloatArray) -> Update:
-    """Return the update with other innovations and the same gains."""
-    out = replace(update, nu=nu)
-    out.__dict__.update({n: update.__dict__[n] for n in ("S", "L", "K", "absorbed") if n in update.__dict__})
-    return out
+        yield u.altered(nu=u.nu + g[:, 0])
 
 
 def trials(
