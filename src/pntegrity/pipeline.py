@@ -167,7 +167,20 @@ class Pipeline:
                 "leaving out " + "+".join(e.group for e in made) + " did not resolve the alert: undone"
             )
             return self._attempt(now, epoch, {}, relaxed), (), join_reasons(reasons)
+        if len(made) > 1 and not attempt.updates[-1].F.any():
+            attempt, made = self._without_needless(now, epoch, attempt, made)
         return attempt, made, join_reasons(reasons)
+
+    def _without_needless(
+        self, now: Checkpoint, epoch: Epoch, attempt: _Attempt, made: tuple[Exclusion, ...]
+    ) -> tuple[_Attempt, tuple[Exclusion, ...]]:
+        """Take back exclusions of a start that were made beside a fix which a blunder had moved far off."""
+        for e in made:
+            fewer = tuple(other for other in made if other.group != e.group)
+            trial = self._attempt(now, epoch, {other.group: other.onset_ns for other in fewer})
+            if not _alert(trial.verdicts) and trial.verdicts[0].status == "ok":
+                attempt, made = trial, fewer
+        return attempt, made
 
     def _attempt(
         self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -22,33 +22,14 @@ import numpy.typing as npt
 
 from pntegrity.kernels.linear import cholesky, correct_covariance, gain, whiten
 from pntegrity.kernels.sparse import sandwich
+from pntegrity.states import FloatArray, Layout, Prior, State, freeze, frozen, group_of
 
-FloatArray = npt.NDArray[np.float64]
 Status = Literal["ok", "alert", "unavailable"]
 
 __all__ = [
     "Epoch", "FloatArray", "Layout", "Observation", "Prior", "State", "Status", "Suspect", "Update",
     "Verdict", "group_of",
 ]  # fmt: skip
-
-
-def group_of(key: str) -> str:
-    """Return what fails together with a row: the part of its key before the first colon (``"G05:C1C"`` ->
-    ``"G05"``).
-    """
-    return key.partition(":")[0]
-
-
-def frozen(a: npt.ArrayLike) -> FloatArray:
-    """Return a read-only float64 array of `a` (a view where `a` already is one)."""
-    out = np.asarray(a, dtype=np.float64).view()
-    out.flags.writeable = False
-    return out
-
-
-def _freeze(obj: object, *names: str) -> None:
-    for name in names:
-        object.__setattr__(obj, name, frozen(getattr(obj, name)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +61,9 @@ class Observation:
     aux: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _freeze(self, "y")
+        freeze(self, "y")
         if self.sigma is not None:
-            _freeze(self, "sigma")
+            freeze(self, "sigma")
         object.__setattr__(self, "aux", MappingProxyType(dict(self.aux)))
         if len(self.keys) != len(self.y) or any(len(v) != len(self.y) for v in self.aux.values()):
             raise ValueError(
@@ -116,85 +97,6 @@ class Epoch:
     def sensor(self, name: str) -> Observation | None:
         """Return the observation of sensor `name`, or None."""
         return next((o for o in self.observations if o.sensor == name), None)
-
-
-@lru_cache(maxsize=1024)
-def _block(names: tuple[str, ...], prefix: str) -> npt.NDArray[np.intp]:
-    hits = np.array(
-        [i for i, n in enumerate(names) if n == prefix or n.startswith(prefix + ":")], dtype=np.intp
-    )
-    hits.flags.writeable = False
-    return hits
-
-
-@dataclass(frozen=True)
-class Layout:
-    """The names of the states, one a scalar: ``"pos:x"``, ``"clk"``, ``"isb:E"``, ``"bias:G05:C1C"``."""
-
-    names: tuple[str, ...] = ()
-
-    @cached_property
-    def index(self) -> dict[str, int]:
-        """Where each name stands."""
-        return {name: i for i, name in enumerate(self.names)}
-
-    def block(self, prefix: str) -> npt.NDArray[np.intp]:
-        """Return the indices of the states called `prefix` or ``prefix:...``, in order."""
-        return _block(self.names, prefix)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """A Gaussian belief: mean, covariance and the names of its scalars. An empty one means: not started."""
-
-    t_ns: int
-    mean: FloatArray
-    P: FloatArray
-    layout: Layout
-
-    def __post_init__(self) -> None:
-        _freeze(self, "mean", "P")
-        n = len(self.layout)
-        if self.mean.shape != (n,) or self.P.shape != (n, n):
-            raise ValueError(
-                f"`mean` {self.mean.shape} and `P` {self.P.shape} do not fit a layout of {n} states"
-            )
-
-    @staticmethod
-    def empty(t_ns: int = 0) -> State:
-        """Return the state of a filter that has not started."""
-        return State(t_ns, np.zeros(0), np.zeros((0, 0)), Layout())
-
-    def __len__(self) -> int:
-        return len(self.layout)
-
-    def block(self, prefix: str) -> tuple[FloatArray, FloatArray]:
-        """Return mean and covariance of the states under `prefix`."""
-        i = self.layout.block(prefix)
-        return self.mean[i], self.P[np.ix_(i, i)]
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """A prediction: the prior state and the linear step that made it, ``x' = F x + w``, ``w ~ N(0, Q)``.
-
-    `consumed` counts the states initialised from this epoch's own data: each takes a degree of freedom from a
-    test of this epoch. `events` tells in words what happened (a start, a clock jump, a gap). `context` is
-    what the estimator hands to its own `correct` so that nothing is computed twice.
-    """
-
-    state: State
-    F: FloatArray
-    Q: FloatArray
-    consumed: int = 0
-    events: tuple[str, ...] = ()
-    context: Any = None
-
-    def __post_init__(self) -> None:
-        _freeze(self, "F", "Q")
 
 
 #: What an `Update` keeps beside its fields, as long as it is in use.
@@ -252,7 +154,7 @@ class Update:
     aux: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _freeze(self, "nu", "H", "R", "F", "Q", "spare_nu", "spare_var")
+        freeze(self, "nu", "H", "R", "F", "Q", "spare_nu", "spare_var")
 
     @staticmethod
     def of(

@@ -218,11 +218,6 @@ def test_a_relaxed_epoch_stays_relaxed_when_the_past_is_run_again():
     assert np.linalg.norm(outcomes[-1].update.posterior.mean[:3] - PLACE) < 2.0
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a fix pulled away by kilometres is linearised too far off: two healthy satellites go too"
-    "two healthy ones go with it",
-)
 @pytest.mark.parametrize("make", [SppKf, Spp])
 def test_a_blunder_of_kilometres_at_the_start_costs_its_satellite_only(make):
     outcomes = run(make(options(navigation(SYSTEMS))), every(), log(5, "G07 bias 5 km 0:"))

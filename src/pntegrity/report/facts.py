@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pntegrity.records import FloatArray, frozen
+from pntegrity.states import FloatArray, frozen
 
 __all__ = ["RunFacts"]
 

@@ -16,7 +16,7 @@ from scipy import special
 
 from pntegrity.estimators.spp import Spp
 from pntegrity.evaluate.calibrate import updates_of, white_model
-from pntegrity.evaluate.campaign import Trial, faulted, shifted, trials
+from pntegrity.evaluate.campaign import Trial, faulted, trials
 from pntegrity.evaluate.intervals import binomial_interval
 from pntegrity.evaluate.whiteness import whiteness
 from pntegrity.kernels.linear import whiten
@@ -268,7 +268,7 @@ def known_fault_delay(span: Sequence[Update], key: str, kind: str, size: float, 
     """
     needed = float(special.ndtri(1.0 - p_fa)) ** 2
     seen = 0.0
-    for u in faulted([shifted(u, np.zeros(len(u.keys))) for u in span], key, kind, size):
+    for u in faulted([u.altered(nu=np.zeros(len(u.keys))) for u in span], key, kind, size):
         g = whiten(u.L, u.nu)
         seen += float(g @ g)
         if seen >= needed:
