@@ -125,12 +125,10 @@ def page(work: Workload, rounds: int) -> str:
     baseline = table["position"].get("RTKLIB")
     parts = [
         "# Benchmarks\n",
-        f"Written by `{COMMAND}`\n(`pip install -e '.[bench]'`; `pytest benchmarks` measures the stages "
-        "alone, "
-        "`python -m benchmarks.process` the whole command).\nAll times are CPU time in one thread, the "
-        "fastest of "
-        f"{rounds} rounds. Ratios compare within this run and\ncarry over to other machines better than "
-        "milliseconds do.\n",
+        f"Written by `{COMMAND}` (`pip install -e '.[bench]'`;\n`pytest benchmarks` measures the stages "
+        "alone, `python -m benchmarks.process` the whole command). All times are\nCPU time in one thread, "
+        f"the fastest of {rounds} rounds; on a machine that others use too, ratios repeat to about a "
+        "fifth.\n",
         _setting(work, tools, absent),
         "## Cost beside other tools\n",
         "CPU ms an epoch (in brackets: the tool's time over ours).\n",
@@ -140,9 +138,8 @@ def page(work: Workload, rounds: int) -> str:
         _accuracy_table(work, table, tools),
         f"## Three satellites {FAULT_M:g} m off at once\n",
         f"{', '.join(FAULTED)}: {FAULT_M:g} m on the code of each in epochs {FIRST} to {LAST - 1}. A "
-        "snapshot "
-        "tool meets each epoch alone;\nthe filter meets them in time order, with all five monitors at "
-        "1e-6.\n",
+        "snapshot tool meets each epoch alone;\nthe filter meets them in time order, with all five monitors "
+        "at 1e-6.\n",
         _fault_table(work, table, tools),
         "## Our stages\n",
         "CPU ms an epoch"
@@ -169,15 +166,12 @@ def _setting(work: Workload, tools: dict[str, Any], absent: dict[str, str]) -> s
         f"{n} {t.version}" if n not in t.version.lower() else t.version for n, t in tools.items()
     )
     codes = [code for e in work.loaded.epochs if (code := e.sensor("code")) is not None]
-    ionosphere = (
-        "Klobuchar" if work.loaded.klobuchar else "no ionosphere model (the file has no coefficients)"
-    )
+    ionosphere = "Klobuchar" if work.loaded.klobuchar else "no ionosphere model (the file has none)"
     lines = [
         f"File: BRUX, {len(work.loaded.epochs)} epochs at 1 Hz, GPS + GLONASS + Galileo + BDS, "
         f"{np.mean([len(c.keys) for c in codes]):.0f} codes an epoch before the\n10 degree mask. All tools: "
-        "one "
-        f"frequency, broadcast ephemerides, Saastamoinen, {ionosphere}.\nCosts, and the faults below, are of "
-        f"the {LAST - FIRST} epochs from {FIRST} on.\n",
+        f"one frequency, broadcast ephemerides, Saastamoinen, {ionosphere}.\nCosts, and the faults below, "
+        f"are of the {LAST - FIRST} epochs from {FIRST} on.\n",
         f"Versions: {versions}.\n",
     ]
     lines += [f"Not run: {why}.\n" for why in absent.values()]
@@ -218,9 +212,9 @@ def _cost_notes(tools: dict[str, Any]) -> str:
     notes = [f"- {n} is given: {t.given}." for n, t in tools.items() if t.given]
     notes += [
         "- RTKLIB and sidereon make the satellite states inside the position.",
-        "- gnss_lib_py reads only the first 20 epochs of the file.",
-        "- Ours includes a velocity fix from range rates, as RTKLIB's does; sidereon's and gnss_lib_py's do "
-        "not.",
+        "- gnss_lib_py reads only the first 20 epochs of the file. Its positions without a fault are ours by "
+        "construction: the same rows with the same weights.",
+        "- Ours includes a velocity from range rates, as RTKLIB's does; sidereon's and gnss_lib_py's do not.",
     ]
     return "\n".join(notes) + "\n"
 

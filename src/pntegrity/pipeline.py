@@ -259,7 +259,9 @@ class Pipeline:
 
 
 def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
-    """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for it."""
+    """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for
+    it.
+    """
     out = len(update.excluded) + len({e.group for e in new})
     total = len(update.excluded) + len(update.groups())
     if out <= policy.most_excluded * total:

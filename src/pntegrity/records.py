@@ -272,7 +272,9 @@ class Update:
         return frozen(whiten(self.L, self.nu))
 
     def altered(self, **changes: Any) -> Update:
-        """Return the update with other fields and the same gains: not for `H`, `R`, `prior` or `posterior`."""
+        """Return the update with other fields and the same gains: not for `H`, `R`, `prior` or
+        `posterior`.
+        """
         out = replace(self, **changes)
         out.__dict__.update({n: self.__dict__[n] for n in GAINS if n in self.__dict__})
         return out

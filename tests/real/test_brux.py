@@ -59,6 +59,8 @@ def test_three_satellites_of_two_constellations_are_found_exactly(brux):
 
 
 def test_no_test_can_be_faster_than_the_one_that_knows_the_fault(calibrated):
-    bias, ramp = (known_fault_delay(calibrated[500:560], "G01:C1C", k, s) for k, s in (("bias", 15.0), ("ramp", 0.1)))
+    bias, ramp = (
+        known_fault_delay(calibrated[500:560], "G01:C1C", k, s) for k, s in (("bias", 15.0), ("ramp", 0.1))
+    )
     assert bias == 0.0
     assert 2.0 <= ramp <= 10.0

@@ -33,9 +33,15 @@ NAMES = ("rctm", "srctm", "aime", "sraime", "glr")
 
 
 def row(
-    campaign: str, quantity: str, must: str, measured: Any, ok: bool | None = None, *,
-    interval: Sequence[float] | None = None, note: str = "",
-) -> Row:  # fmt: skip
+    campaign: str,
+    quantity: str,
+    must: str,
+    measured: Any,
+    ok: bool | None = None,
+    *,
+    interval: Sequence[float] | None = None,
+    note: str = "",
+) -> Row:
     """Return one figure: what it is, what it must be, what was measured; `ok` None where it is only
     stated.
     """
@@ -88,21 +94,28 @@ class Log:
 
 
 BRUX = Log(
-    "brux-static-2019014", "BRUX00BEL_S_20190140615_15M_01S_MO.rnx.gz",
+    "brux-static-2019014",
+    "BRUX00BEL_S_20190140615_15M_01S_MO.rnx.gz",
     ("BRDC00WRD_R_20190140000_01D_MN.rnx.gz",),
     (4027881.6280, 306998.5370, 4919498.9840),
-)  # fmt: skip
+)
 CLAS = Log(
-    "clas-sept-2021078", "SEPT078M.21O.gz", ("SEPT078M.21P.gz", "30340780.21q.gz"),
-    (-3962108.673, 3381309.574, 3668678.638), systems="GECJ",
-)  # fmt: skip
+    "clas-sept-2021078",
+    "SEPT078M.21O.gz",
+    ("SEPT078M.21P.gz", "30340780.21q.gz"),
+    (-3962108.673, 3381309.574, 3668678.638),
+    systems="GECJ",
+)
 TST = Log(
-    "tst-urban-2019118", "COM3_190428_124409.obs.gz", ("hksc1180.19n.gz", "hksc1180.19b.gz"),
-    truth_file="groundTruth_TST.csv.gz", systems="GC",
-)  # fmt: skip
+    "tst-urban-2019118",
+    "COM3_190428_124409.obs.gz",
+    ("hksc1180.19n.gz", "hksc1180.19b.gz"),
+    truth_file="groundTruth_TST.csv.gz",
+    systems="GC",
+)
 WALK = Log(
     "imu-walk-2025240", "walk.obs.gz", ("walk.nav.gz",), truth_file="gnss_1730_sf.pos.gz", systems="GEC"
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,8 +71,16 @@ def _alarms(words: str, site: Site, name: str, noise: NoiseModel) -> list[Row]:
         tested, alarms = int(np.isfinite(ratio).sum()), int((ratio > 1.0).sum())
         quantity = f"{words}: alarm rate of exact {m.name} without exclusion, second half, {name} noise model"
         rate = alarms / tested if tested else None
-        rows.append(row("receivers", quantity, "stated", rate, interval=binomial_interval(alarms, tested),
-                        note=f"{alarms} of {tested} tested epochs"))  # fmt: skip
+        rows.append(
+            row(
+                "receivers",
+                quantity,
+                "stated",
+                rate,
+                interval=binomial_interval(alarms, tested),
+                note=f"{alarms} of {tested} tested epochs",
+            )
+        )
     return rows
 
 

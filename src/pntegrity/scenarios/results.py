@@ -87,21 +87,27 @@ def _speed(data: Path) -> list[Row]:
 
 _ALL = (
     Campaign(
-        "spp8", "Simulation: false-alarm rates, power and delay",
+        "spp8",
+        "Simulation: false-alarm rates, power and delay",
         "The 8-state positioning filter with 10 satellites, code 1 m, range rate 0.1 m/s, 1 Hz; the "
         "innovations are drawn"
-        " white, so a false-alarm rate is a property of the monitor alone.", _spp8, real=False,
+        " white, so a false-alarm rate is a property of the monitor alone.",
+        _spp8,
+        real=False,
     ),
     Campaign(
-        "clean", "Real static receiver, no fault",
+        "clean",
+        "Real static receiver, no fault",
         "BRUX, 900 epochs at 1 Hz of GPS, GLONASS, Galileo and BDS. The noise model is fitted to the first "
         "half; alarms and"
         " whiteness are those of the second. 450 correlated epochs cannot prove a rate of 1e-6: they can "
         "only refute it. The"
-        " white model is the best of its kind: its sigma is fitted to the same data.", _clean,
+        " white model is the best of its kind: its sigma is fitted to the same data.",
+        _clean,
     ),
     Campaign(
-        "delays", "Real static receiver: how soon a fault on one code is seen",
+        "delays",
+        "Real static receiver: how soon a fault on one code is seen",
         "The same log, second half, each satellite in turn, four onsets, P_FA 1e-6. The best possible test "
         "knows satellite,"
         " course, size, sign and onset: under the same noise model nothing sees the fault sooner with "
@@ -109,27 +115,33 @@ _ALL = (
         _delays,
     ),
     Campaign(
-        "faults", "Real static receiver: injected faults through the whole pipeline",
+        "faults",
+        "Real static receiver: injected faults through the whole pipeline",
         "The same log, second half, random satellites, sizes, signs and onsets. With few satellites the "
         "filter ran for a"
-        " minute on these alone before the fault; the snapshot has the one epoch.", _faults,
+        " minute on these alone before the fault; the snapshot has the one epoch.",
+        _faults,
     ),
     Campaign(
-        "receivers", "Other receivers, not calibrated",
+        "receivers",
+        "Other receivers, not calibrated",
         "What the conservative defaults and a fit to the first half of each log say on its second half. In "
         "the urban canyon"
         " most measurements are reflected: alarms there are true ones, and the fit takes the reflections for "
-        "noise.", _receivers,
+        "noise.",
+        _receivers,
     ),
     Campaign(
         "speed", "Speed of the main job", "A whole process each time, from the files to the report.", _speed
     ),
     Campaign(
-        "sraime-spp", "The published SPP experiment (Table 1 of the SRAIME paper)",
-        "The column *must* holds the published figure; *met* tells whether it is reproduced.", _sraime,
+        "sraime-spp",
+        "The published SPP experiment (Table 1 of the SRAIME paper)",
+        "The column *must* holds the published figure; *met* tells whether it is reproduced.",
+        _sraime,
         real=False,
     ),
-)  # fmt: skip
+)
 CAMPAIGNS: Mapping[str, Campaign] = {c.name: c for c in _ALL}
 
 
@@ -176,11 +188,21 @@ def section(campaign: Campaign, rows: Sequence[Row]) -> str:
     option = " --data FOLDER" if campaign.real else ""
     head = ("quantity", "must", "measured", "99 % interval", "met", "note")
     lines = [
-        f"## {campaign.title}", "", campaign.text, "",
-        "```", f"pntegrity evidence {campaign.name}{option} --write docs/results.md", "```", "",
-        "| " + " | ".join(head) + " |", "|" + "---|" * len(head), *(_line(r) for r in rows), "",
-        f"*{_versions()}*", "",
-    ]  # fmt: skip
+        f"## {campaign.title}",
+        "",
+        campaign.text,
+        "",
+        "```",
+        f"pntegrity evidence {campaign.name}{option} --write docs/results.md",
+        "```",
+        "",
+        "| " + " | ".join(head) + " |",
+        "|" + "---|" * len(head),
+        *(_line(r) for r in rows),
+        "",
+        f"*{_versions()}*",
+        "",
+    ]
     return "\n".join(lines)
 
 
