@@ -14,6 +14,9 @@ from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide, r
 from pntegrity.protocols import Estimator, Monitor
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
 
+#: A blunder larger than this moves a start so far that its linearisation blames others too, m.
+FAR_M = 1000.0
+
 __all__ = ["Checkpoint", "Outcome", "Pipeline"]
 
 
@@ -167,7 +170,8 @@ class Pipeline:
                 "leaving out " + "+".join(e.group for e in made) + " did not resolve the alert: undone"
             )
             return self._attempt(now, epoch, {}, relaxed), (), join_reasons(reasons)
-        if len(made) > 1 and not attempt.updates[-1].F.any():
+        far = max((abs(e.size) for e in made), default=0.0) > FAR_M
+        if far and len(made) > 1 and not attempt.updates[-1].F.any():
             attempt, made = self._without_needless(now, epoch, attempt, made)
         return attempt, made, join_reasons(reasons)
 

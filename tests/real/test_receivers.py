@@ -1,6 +1,4 @@
 """Receivers whose noise nobody fitted: the pipeline runs to the end and says what it makes of them."""
-them.
-"""
 
 from collections import Counter
 

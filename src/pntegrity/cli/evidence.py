@@ -34,17 +34,17 @@ def command(campaign: str, data: Path | None, write: Path | None, as_json: bool)
     from pntegrity.formats.atomic import write_text
     from pntegrity.scenarios.results import page, run_campaign
 
-    found = {}
+    rows = []
     for name in NAMES if campaign == "all" else (campaign,):
-        found[name] = run_campaign(name, data)
+        own = run_campaign(name, data)
+        rows += own
         if not as_json:
-            _show(name, found[name])
-    rows = [r for own in found.values() for r in own]
+            _show(name, own)
+        if write is not None and own[0]["quantity"] != "not run":
+            text = write.read_text(encoding="utf-8") if write.is_file() else ""
+            write_text(write, page(text, {name: own}))
     if as_json:
         click.echo(json.dumps({"rows": rows}, indent=1))
-    if write is not None:
-        made = {name: own for name, own in found.items() if own[0]["quantity"] != "not run"}
-        write_text(write, page(write.read_text(encoding="utf-8") if write.is_file() else "", made))
     return int(any(r["ok"] is False for r in rows))
 
 

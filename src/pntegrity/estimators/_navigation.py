@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from functools import lru_cache
+
 import numpy as np
 
 from pntegrity.estimators._errors import error_kinds, error_states, stationary
@@ -115,13 +117,21 @@ def linear_update(
 
 
 def _code_jacobian(layout: Layout, rows: Rows) -> FloatArray:
-    H = np.zeros((len(rows.keys), len(layout)))
+    H = _code_template(layout, rows.keys).copy()
     H[:, :3] = -rows.los
+    return H
+
+
+@lru_cache(maxsize=64)
+def _code_template(layout: Layout, keys: tuple[str, ...]) -> FloatArray:
+    """Return the part of a code Jacobian that geometry does not change: clocks and the satellites' states."""
+    H = np.zeros((len(keys), len(layout)))
     H[:, 6] = 1.0
-    for prefix, names in (("isb", [system_of(k) for k in rows.keys]), ("bias", rows.keys), ("mp", rows.keys)):
+    for prefix, names in (("isb", [system_of(k) for k in keys]), ("bias", keys), ("mp", keys)):
         i = columns(layout, tuple(f"{prefix}:{n}" for n in names))
         here = np.flatnonzero(i >= 0)
         H[here, i[here]] = 1.0
+    H.flags.writeable = False
     return H
 
 

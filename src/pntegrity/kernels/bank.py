@@ -17,13 +17,15 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from pntegrity.kernels.linear import whiten
+from pntegrity.kernels.linear import inverse_lower
 from pntegrity.kernels.signatures import Signature
-from pntegrity.kernels.sparse import left
+from pntegrity.kernels.sparse import nonzeros
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+CHUNK = 16
+"""Signatures that are carried through an epoch together."""
 LEAST = 1e-9
 """Least ``den`` of a hypothesis that is tested: what moves the innovations less, nobody sees."""
 
@@ -153,6 +155,8 @@ def rearrange(
     if count % schedule.step == 0:
         stood, onset, onset_ns = np.append(stood, -1), np.append(onset, count), np.append(onset_ns, start_ns)
     was = _matching(bank.signatures, signatures)
+    if len(stood) == len(bank.onset) and np.array_equal(stood, np.arange(len(stood))) and bank.signatures is signatures:
+        return bank, np.arange(len(signatures) * len(onset))
     E, gram, source = _gather(bank.E, bank.gram, was, stood)
     return Bank(signatures, onset, onset_ns, E, gram), source
 
@@ -201,14 +205,40 @@ def advance(
     s, o = len(bank.signatures), len(bank.onset)
     growing, constant = touched
     tau = (t_ns - bank.onset_ns) * 1e-9
-    E = bank.E.reshape(-1, s * o) if bank.E.shape[0] == F.shape[1] else np.zeros((F.shape[1], s * o))
-    prior = left(F, E)
-    g = (growing[:, :, None] * tau + constant[:, :, None]).reshape(-1, s * o)
-    g -= left(H, prior)
-    by_signature = np.ascontiguousarray(whiten(L, g).T).reshape(s, o, -1)
-    gram = bank.gram + by_signature @ by_signature.transpose(0, 2, 1)
-    after = Bank(bank.signatures, bank.onset, bank.onset_ns, (prior + K @ g).reshape(-1, s, o), gram)
-    return after, by_signature.reshape(s * o, -1)
+    E = bank.E if bank.E.shape[0] == F.shape[1] else np.zeros((F.shape[1], s, o))
+    E, gram, response = _carried(E, bank.gram, *nonzeros(F), *nonzeros(H), inverse_lower(L), K, growing, constant, tau)
+    return Bank(bank.signatures, bank.onset, bank.onset_ns, E, gram), response
+
+
+@njit(cache=True, nogil=True)
+def _carried(
+    E: FloatArray, gram: FloatArray, F_start: IntArray, F_at: IntArray, F_value: FloatArray, H_start: IntArray,
+    H_at: IntArray, H_value: FloatArray, root: FloatArray, K: FloatArray, growing: FloatArray, constant: FloatArray,
+    tau: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Take all hypotheses through an epoch, a few signatures at a time so that they stay in the cache."""
+    s, o = E.shape[1], E.shape[2]
+    n, m = K.shape
+    E_new, gram_new, response = np.empty((n, s, o)), gram.copy(), np.empty((s * o, m))
+    for first in range(0, s, CHUNK):
+        few = min(CHUNK, s - first)
+        prior, g = np.zeros((n, few * o)), np.zeros((m, few * o))
+        for i in range(n):
+            for k in range(F_start[i], F_start[i + 1]):
+                prior[i] += F_value[k] * E[F_at[k], first : first + few].reshape(few * o)
+        for i in range(m):
+            for k in range(few):
+                if growing[i, first + k] != 0.0 or constant[i, first + k] != 0.0:
+                    g[i, k * o : (k + 1) * o] = growing[i, first + k] * tau + constant[i, first + k]
+            for k in range(H_start[i], H_start[i + 1]):
+                g[i] -= H_value[k] * prior[H_at[k]]
+        white = np.dot(root, g)
+        E_new[:, first : first + few] = (prior + np.dot(K, g)).reshape(n, few, o)
+        response[first * o : (first + few) * o] = white.T
+        for k in range(few):
+            own = response[(first + k) * o : (first + k + 1) * o]
+            gram_new[first + k] += np.dot(own, own.T)
+    return E_new, gram_new, response
 
 
 def stack_sources(sources: Sequence[IntArray], sizes: Sequence[int]) -> IntArray:

@@ -10,6 +10,24 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
+def nonzeros(A: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], FloatArray]:
+    """Return the non-zeros of a matrix by row: where each row starts, their columns, their values."""
+    m, n = A.shape
+    start = np.zeros(m + 1, dtype=np.int64)
+    column = np.empty(m * n, dtype=np.int64)
+    value = np.empty(m * n)
+    count = 0
+    for i in range(m):
+        for j in range(n):
+            if A[i, j] != 0.0:
+                column[count] = j
+                value[count] = A[i, j]
+                count += 1
+        start[i + 1] = count
+    return start, column[:count], value[:count]
+
+
+@njit(cache=True, nogil=True)
 def left(A: FloatArray, B: FloatArray) -> FloatArray:
     """Return ``A @ B`` for a mostly-zero `A`: the cost is that of its non-zeros."""
     out = np.zeros((A.shape[0], B.shape[1]))
@@ -37,17 +55,7 @@ def right(B: FloatArray, A: FloatArray) -> FloatArray:
 def sandwich(A: FloatArray, P: FloatArray) -> FloatArray:
     """Return ``A P A^T``, exactly symmetric, for a mostly-zero `A` and a symmetric `P`."""
     m, n = A.shape
-    start = np.zeros(m + 1, dtype=np.int64)
-    column = np.empty(m * n, dtype=np.int64)
-    value = np.empty(m * n)
-    count = 0
-    for i in range(m):
-        for j in range(n):
-            if A[i, j] != 0.0:
-                column[count] = j
-                value[count] = A[i, j]
-                count += 1
-        start[i + 1] = count
+    start, column, value = nonzeros(A)
     row = np.empty(n)
     out = np.empty((m, m))
     for i in range(m):
