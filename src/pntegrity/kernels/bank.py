@@ -155,7 +155,11 @@ def rearrange(
     if count % schedule.step == 0:
         stood, onset, onset_ns = np.append(stood, -1), np.append(onset, count), np.append(onset_ns, start_ns)
     was = _matching(bank.signatures, signatures)
-    if len(stood) == len(bank.onset) and np.array_equal(stood, np.arange(len(stood))) and bank.signatures is signatures:
+    if (
+        len(stood) == len(bank.onset)
+        and np.array_equal(stood, np.arange(len(stood)))
+        and bank.signatures is signatures
+    ):
         return bank, np.arange(len(signatures) * len(onset))
     E, gram, source = _gather(bank.E, bank.gram, was, stood)
     return Bank(signatures, onset, onset_ns, E, gram), source
@@ -204,17 +208,18 @@ def advance(
     """
     s, o = len(bank.signatures), len(bank.onset)
     growing, constant = touched
-    tau = (t_ns - bank.onset_ns) * 1e-9
+    tau = np.asarray((t_ns - bank.onset_ns) * 1e-9, dtype=np.float64)
     E = bank.E if bank.E.shape[0] == F.shape[1] else np.zeros((F.shape[1], s, o))
-    E, gram, response = _carried(E, bank.gram, *nonzeros(F), *nonzeros(H), inverse_lower(L), K, growing, constant, tau)
+    root = inverse_lower(L)
+    E, gram, response = _carried(E, bank.gram, *nonzeros(F), *nonzeros(H), root, K, growing, constant, tau)
     return Bank(bank.signatures, bank.onset, bank.onset_ns, E, gram), response
 
 
 @njit(cache=True, nogil=True)
 def _carried(
-    E: FloatArray, gram: FloatArray, F_start: IntArray, F_at: IntArray, F_value: FloatArray, H_start: IntArray,
-    H_at: IntArray, H_value: FloatArray, root: FloatArray, K: FloatArray, growing: FloatArray, constant: FloatArray,
-    tau: FloatArray,
+    E: FloatArray, gram: FloatArray, F_start: IntArray, F_at: IntArray, F_value: FloatArray,
+    H_start: IntArray, H_at: IntArray, H_value: FloatArray, root: FloatArray, K: FloatArray,
+    growing: FloatArray, constant: FloatArray, tau: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Take all hypotheses through an epoch, a few signatures at a time so that they stay in the cache."""
     s, o = E.shape[1], E.shape[2]

@@ -263,8 +263,8 @@ def known_fault_delay(span: Sequence[Update], key: str, kind: str, size: float, 
     """Return when a matched filter that knows the fault would alarm with probability one half, s.
 
     Satellite, course, size, sign and onset are known to it, so it need test nothing else: by the lemma of
-    Neyman and Pearson no test of the same `p_fa` under this noise model is more powerful. inf: not within the
-    span.
+    Neyman and Pearson no test of that `p_fa` is more powerful at that epoch under this noise model. inf: not
+    within the span.
     """
     needed = float(special.ndtri(1.0 - p_fa)) ** 2
     seen = 0.0

@@ -89,46 +89,41 @@ _ALL = (
     Campaign(
         "spp8",
         "Simulation: false-alarm rates, power and delay",
-        "The 8-state positioning filter with 10 satellites, code 1 m, range rate 0.1 m/s, 1 Hz; the "
-        "innovations are drawn"
-        " white, so a false-alarm rate is a property of the monitor alone.",
+        """The 8-state positioning filter with 10 satellites, code 1 m, range rate 0.1 m/s, 1 Hz. The
+innovations are drawn white, so a false-alarm rate is a property of the monitor alone.""",
         _spp8,
         real=False,
     ),
     Campaign(
         "clean",
         "Real static receiver, no fault",
-        "BRUX, 900 epochs at 1 Hz of GPS, GLONASS, Galileo and BDS. The noise model is fitted to the first "
-        "half; alarms and"
-        " whiteness are those of the second. 450 correlated epochs cannot prove a rate of 1e-6: they can "
-        "only refute it. The"
-        " white model is the best of its kind: its sigma is fitted to the same data.",
+        """BRUX, 900 epochs at 1 Hz of GPS, GLONASS, Galileo and BDS. The noise model is fitted to the first
+half; alarms and whiteness are those of the second. 450 correlated epochs cannot prove a rate of
+1e-6, they can only refute it. The white model is the best of its kind: its sigma is fitted to the
+same data.""",
         _clean,
     ),
     Campaign(
         "delays",
         "Real static receiver: how soon a fault on one code is seen",
-        "The same log, second half, each satellite in turn, four onsets, P_FA 1e-6. The best possible test "
-        "knows satellite,"
-        " course, size, sign and onset: under the same noise model nothing sees the fault sooner with "
-        "probability one half.",
+        """The same log, second half, each satellite in turn, four onsets, P_FA 1e-6. The best possible test
+knows satellite, course, size, sign and onset; its delay is the first at which it alarms with
+probability one half. No test of this P_FA is more powerful at any epoch under the same noise model.""",
         _delays,
     ),
     Campaign(
         "faults",
         "Real static receiver: injected faults through the whole pipeline",
-        "The same log, second half, random satellites, sizes, signs and onsets. With few satellites the "
-        "filter ran for a"
-        " minute on these alone before the fault; the snapshot has the one epoch.",
+        """The same log, second half, random satellites, sizes, signs and onsets. With few satellites the
+filter ran for a minute on these alone before the fault; the snapshot has the one epoch.""",
         _faults,
     ),
     Campaign(
         "receivers",
         "Other receivers, not calibrated",
-        "What the conservative defaults and a fit to the first half of each log say on its second half. In "
-        "the urban canyon"
-        " most measurements are reflected: alarms there are true ones, and the fit takes the reflections for "
-        "noise.",
+        """What the defaults and a fit to the first half of each log say on its second half. In the urban
+canyon most measurements are reflected: alarms there are true ones, and a fit takes the reflections
+for noise.""",
         _receivers,
     ),
     Campaign(
