@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -157,6 +158,8 @@ def _timed(data: Path) -> float:
     nav = [word for n in BRUX.nav for word in ("--nav", str(folder / n))]
     with tempfile.TemporaryDirectory() as out:
         command = [sys.executable, "-c", RUN, "run", "--obs", str(folder / BRUX.obs), *nav, "--out", out]
+        # byte code is kept, as it is after an ordinary installation
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
         start = time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True)
+        subprocess.run(command, check=True, capture_output=True, env=environment)
         return time.perf_counter() - start
