@@ -12,7 +12,7 @@ from typing import Any
 
 from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide, review
 from pntegrity.protocols import Estimator, Monitor
-from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
+from pntegrity.records import Epoch, State, Status, Update, Verdict, group_of, join_reasons
 
 #: A blunder larger than this moves a start so far that its linearisation blames others too, m.
 FAR_M = 1000.0
@@ -171,7 +171,7 @@ class Pipeline:
             )
             return self._attempt(now, epoch, {}, relaxed), (), join_reasons(reasons)
         far = max((abs(e.size) for e in made), default=0.0) > FAR_M
-        if far and len(made) > 1 and not attempt.updates[-1].F.any():
+        if far and len(made) > 1 and attempt.updates[-1].is_start:
             attempt, made = self._without_needless(now, epoch, attempt, made)
         return attempt, made, join_reasons(reasons)
 
@@ -234,7 +234,7 @@ class Pipeline:
         for e in made:
             counts[e.group] = counts.get(e.group, 0) + 1
             standing[e.group] = Standing(e.onset_ns, epoch.t_ns, times=counts[e.group])
-        present = frozenset(k.partition(":")[0] for o in epoch.observations for k in o.keys)
+        present = frozenset(group_of(k) for o in epoch.observations for k in o.keys)
         after = review(standing, update, present, self.policy)
         readmitted = tuple(g for g in standing if g not in after)
         alert = _alert(last.verdicts) or bool(reason)

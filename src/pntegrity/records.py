@@ -271,6 +271,11 @@ class Update:
         """Whitened innovation ``L^-1 nu``: independent unit normals under the null hypothesis, shape (m,)."""
         return frozen(whiten(self.L, self.nu))
 
+    @property
+    def is_start(self) -> bool:
+        """Whether nothing was inherited from an earlier epoch (a filter's start, any snapshot)."""
+        return not self.F.any()
+
     def altered(self, **changes: Any) -> Update:
         """Return the update with other fields and the same gains: not for `H`, `R`, `prior` or
         `posterior`.

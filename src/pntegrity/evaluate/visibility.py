@@ -82,7 +82,7 @@ class Watch:
     def take(self, k: int, planned: Planned) -> None:
         """Let every probe see epoch `k`; a start of the filter or a step back in time ends them all."""
         u = planned.update
-        if not u.F.any() or any(u.t_ns <= w.probe.onset_ns for w in self.active):
+        if u.is_start or any(u.t_ns <= w.probe.onset_ns for w in self.active):
             self.active = []
         if k in self.starts:
             shapes = [Shape(key, kind) for kind in ("bias", "ramp") for key in u.keys]
@@ -149,7 +149,7 @@ def _interval_s(updates: Iterable[Update]) -> float:
 def _spread(updates: Sequence[Update], onsets: int, longest_s: float) -> tuple[int, ...]:
     """Return indices from a quarter of the record to the last from which the longest delay still fits."""
     left = np.array([(updates[-1].t_ns - u.t_ns) * 1e-9 for u in updates])
-    fit = np.flatnonzero((left >= longest_s) & [bool(u.keys) and bool(u.F.any()) for u in updates])
+    fit = np.flatnonzero((left >= longest_s) & [bool(u.keys) and not u.is_start for u in updates])
     later = fit[len(fit) // 4 :] if len(fit) else np.arange(len(updates) // 4, len(updates))
     if not onsets or not len(later):
         return ()

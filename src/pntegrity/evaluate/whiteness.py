@@ -47,7 +47,7 @@ def whiteness(updates: Iterable[Update], lags_s: Sequence[float] = (1.0, 5.0, 30
         "pairs": [int a lag], "mean_square": float or None, "count": int}``; a true model has mean square 1.
     """
     kept = [u for u in updates if u.keys]
-    inherits = np.array([bool(u.F.any()) for u in kept], dtype=bool)
+    inherits = np.array([not u.is_start for u in kept], dtype=bool)
     keys, a = normalised(kept)
     a[~inherits] = np.nan
     run = np.cumsum(~inherits)

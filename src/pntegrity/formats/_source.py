@@ -92,6 +92,25 @@ def _is_binary(data: bytes, sample: int = 8192) -> bool:
 _ODD = bytes(b for b in range(256) if not (32 <= b < 127 or b in b"\t\n\r"))
 
 
+def rinex_first_line(text: str, path: Path, hint: str) -> str:
+    """Return the first line of a RINEX file.
+
+    Raises
+    ------
+    InputError
+        Where it is none; `hint` tells what to give instead.
+    """
+    first = text[:81].split("\n", 1)[0]
+    if "RINEX VERSION / TYPE" not in first:
+        raise InputError(
+            "this is not a RINEX file (its first line lacks 'RINEX VERSION / TYPE')",
+            path=path,
+            line=1,
+            hint=hint,
+        )
+    return first
+
+
 def with_decimal_version(text: str) -> str:
     """Return RINEX text whose version has decimals: sidereon refuses ``2`` for ``2.00``."""
     version = text[:20].split()

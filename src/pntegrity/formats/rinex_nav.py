@@ -11,7 +11,7 @@ from typing import Any
 import sidereon
 
 from pntegrity.errors import InputError
-from pntegrity.formats._source import read_text, with_decimal_version
+from pntegrity.formats._source import read_text, rinex_first_line, with_decimal_version
 from pntegrity.physics.ephemeris import is_possible, sisa_is_index
 from pntegrity.physics.signals import WORDS
 from pntegrity.physics.tables import Klobuchar, Navigation
@@ -91,14 +91,8 @@ def _identity(r: Any) -> tuple[Any, ...]:
 
 
 def _check_kind(text: str, path: Path) -> None:
-    first = text[:81].split("\n", 1)[0]
-    if "RINEX VERSION / TYPE" not in first:
-        raise InputError(
-            "this is not a RINEX file (its first line lacks 'RINEX VERSION / TYPE')",
-            path=path,
-            line=1,
-            hint="Give a RINEX navigation file: the station's own, or the daily BRDC file of IGS",
-        )
+    hint = "Give a RINEX navigation file: the station's own, or the daily BRDC file of IGS"
+    first = rinex_first_line(text, path, hint)
     if first[20:21].upper() not in "NGHLJQCB" or "OBS" in first[20:40].upper():
         raise InputError(
             f"this RINEX file holds {first[20:40].strip()!r}, not navigation messages",

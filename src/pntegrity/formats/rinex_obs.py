@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from pntegrity.errors import InputError
 from pntegrity.formats._salvage import decode_crinex, parse_observations
-from pntegrity.formats._source import read_text, with_decimal_version, without_cut_line
+from pntegrity.formats._source import read_text, rinex_first_line, with_decimal_version, without_cut_line
 from pntegrity.physics.tables import SignalTable
 from pntegrity.physics.time import BDT_OFFSET_NS, SECOND_NS, civil_to_ns, leap_seconds, to_iso
 
@@ -83,14 +83,8 @@ def read_observations(path: Path | str) -> SignalTable:
 
 
 def _check_kind(text: str, path: Path) -> None:
-    first = text[:81].split("\n", 1)[0]
-    if "RINEX VERSION / TYPE" not in first:
-        raise InputError(
-            "this is not a RINEX file (its first line lacks 'RINEX VERSION / TYPE')",
-            path=path,
-            line=1,
-            hint="Give a RINEX 2, 3 or 4 observation file, for instance one made by RTKLIB's convbin",
-        )
+    hint = "Give a RINEX 2, 3 or 4 observation file, for instance one made by RTKLIB's convbin"
+    first = rinex_first_line(text, path, hint)
     if first[20:21].upper() != "O":
         raise InputError(
             f"this RINEX file holds {first[20:40].strip() or 'an unknown kind of data'!r}, not observations",

@@ -28,19 +28,6 @@ def nonzeros(A: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64
 
 
 @njit(cache=True, nogil=True)
-def left(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return ``A @ B`` for a mostly-zero `A`: the cost is that of its non-zeros."""
-    out = np.zeros((A.shape[0], B.shape[1]))
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            a = A[i, j]
-            if a != 0.0:
-                for k in range(B.shape[1]):
-                    out[i, k] += a * B[j, k]
-    return out
-
-
-@njit(cache=True, nogil=True)
 def right(B: FloatArray, A: FloatArray) -> FloatArray:
     """Return ``B @ A`` for a mostly-zero `A`."""
     rows, cols = np.nonzero(A)

@@ -23,14 +23,9 @@ def slide(window: Window, update: Update, length: int) -> Window:
     """
     if not update.keys:
         return ()
-    if is_start(update) or length == 1:
+    if update.is_start or length == 1:
         return (update,)
-    return (*(u for u in window[1 - length :] if not is_start(u)), update)
-
-
-def is_start(update: Update) -> bool:
-    """Tell whether nothing was inherited from an earlier epoch (a filter's start, any snapshot)."""
-    return not update.F.any()
+    return (*(u for u in window[1 - length :] if not u.is_start), update)
 
 
 def unavailable(monitor: str, variant: str, update: Update, reason: str) -> Verdict:
@@ -83,7 +78,7 @@ def state_test_reason(update: Update) -> str:
         return no_redundancy(update)
     return (
         "no prior: the state was initialised from this epoch's own data"
-        if is_start(update)
+        if update.is_start
         else "no such states"
     )
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from pntegrity.kernels.extrapolation import innovation_maps
 from pntegrity.kernels.windows import Form, QuadraticTest, definite_inverse_root, exact_form
 from pntegrity.monitors._options import check_epochs, check_test
-from pntegrity.monitors._window import Window, is_start, judge, quadratic_test, slide
+from pntegrity.monitors._window import Window, judge, quadratic_test, slide
 from pntegrity.records import Update, Verdict
 
 
@@ -81,7 +81,7 @@ class Aime:
         short = self.variant == "published" and len(window) < self.window
         form = self.form(window[-1:] if short else window)
         reason = "the rows changed within the window: the published test does not apply" if window else ""
-        consumed = update.consumed if is_start(update) else 0
+        consumed = update.consumed if update.is_start else 0
         test = quadratic_test(
             form, update, p_fa=self.p_fa, factor=self.factor, consumed=consumed, reason=reason
         )

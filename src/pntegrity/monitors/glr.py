@@ -21,7 +21,7 @@ from pntegrity.kernels.bank import (
 from pntegrity.kernels.signatures import catalogue, rows_touched
 from pntegrity.kernels.tails import max_threshold
 from pntegrity.monitors._options import check_epochs, check_test
-from pntegrity.monitors._window import best_of_groups, is_ambiguous, is_start, no_redundancy, unavailable
+from pntegrity.monitors._window import best_of_groups, is_ambiguous, no_redundancy, unavailable
 from pntegrity.records import FloatArray, Suspect, Update, Verdict
 
 KINDS: tuple[Literal["bias", "ramp"], ...] = ("bias", "ramp")
@@ -96,7 +96,7 @@ class Glr:
         """Return the test of `update`, without data, and the memory after it, but for its sums (`num`)."""
         if not update.keys:
             return MaximumTest.impossible(no_redundancy(update)), self.start()
-        if is_start(update):
+        if update.is_start:
             memory = self.start()
         banks, source, response = self._carried(memory, update)
         after = GlrMemory(memory.count + 1, update.t_ns, banks, np.zeros(0))

@@ -13,7 +13,6 @@ from pntegrity.monitors._options import check_block, check_epochs, check_test
 from pntegrity.monitors._window import (
     Window,
     block_of,
-    is_start,
     judge,
     quadratic_test,
     slide,
@@ -72,7 +71,7 @@ class Sraime:
 
     def form(self, window: Window) -> Form | None:
         """Return the linear form over the window, or None where the chosen states did not live through it."""
-        if not window or is_start(window[-1]):
+        if not window or window[-1].is_start:
             return None
         blocks = [block_of(u, self.block) for u in window]
         if not len(blocks[-1]) or any(len(b) != len(blocks[-1]) for b in blocks):

@@ -12,7 +12,6 @@ from pntegrity.monitors._options import check_block, check_test
 from pntegrity.monitors._window import (
     Window,
     block_of,
-    is_start,
     judge,
     quadratic_test,
     slide,
@@ -65,7 +64,7 @@ class Srctm:
         """Return the linear form of the last update, or None where the chosen states are absent or only just
         born.
         """
-        if not window or is_start(window[-1]):
+        if not window or window[-1].is_start:
             return None
         u = window[-1]
         b = block_of(u, self.block)
