@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -44,7 +44,14 @@ class RunConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     obs: Path
-    nav: tuple[Path, ...]
+    nav: tuple[Path, ...] = ()
+    sp3: tuple[Path, ...] = ()
+    clk: tuple[Path, ...] = ()
+    bias: tuple[Path, ...] = ()
+    antex: tuple[Path, ...] = ()
+    blq: Path | None = None
+    erp: Path | None = None
+    station: str = ""
     estimator: str = "spp_kf"
     monitors: tuple[str, ...] = DEFAULT_MONITORS
     variant: Literal["exact", "published"] = "exact"
@@ -54,6 +61,7 @@ class RunConfig(BaseModel):
     systems: str = Field("GREC", min_length=1, pattern="^[GRECJ]+$")
     doppler: bool = True
     ionosphere_free: bool = False
+    motion: Literal["white", "walk", "velocity", "static"] = "white"
     truth_ecef_m: tuple[Metres, Metres, Metres] | None = None
     truth: Path | None = None
     faults: tuple[str, ...] = ()
@@ -99,13 +107,18 @@ class RunConfig(BaseModel):
         for name in self.monitor:
             if name not in discover():
                 raise ValueError(f"[monitor.{name}]: no monitor is called {name!r}")
+        if not self.nav and not self.sp3:
+            raise ValueError("give navigation files (--nav), or precise orbits (--sp3)")
+        given = [name for name in ("clk", "bias", "antex", "blq", "erp") if getattr(self, name)]
+        if given and not self.sp3:
+            raise ValueError(f"`{given[0]}` goes with precise orbits: give them with --sp3")
         self.noise_model()
         self.build_monitors()
         return self
 
     def noise_model(self) -> NoiseModel:
-        """Return the noise model."""
-        return noise_of(self.noise)
+        """Return the noise model: that of the estimator, where nothing else is given."""
+        return noise_of(self.noise, discover_estimators()[self.estimator].default_noise)
 
     def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
         """Return the monitors, each with its calibrated threshold factor and its own options."""
@@ -116,8 +129,8 @@ class RunConfig(BaseModel):
         )
 
 
-def noise_of(table: dict[str, Any]) -> NoiseModel:
-    """Return the noise model of a ``[noise]`` table.
+def noise_of(table: dict[str, Any], default: NoiseModel | None = None) -> NoiseModel:
+    """Return the noise model of a ``[noise]`` table; what it does not say is that of `default`.
 
     Raises
     ------
@@ -135,7 +148,7 @@ def noise_of(table: dict[str, Any]) -> NoiseModel:
     unknown = set(values) - set(NoiseModel.__dataclass_fields__)
     if unknown:
         raise ValueError(f"noise model: unknown field {sorted(unknown)[0]!r}")
-    return NoiseModel(**values, factors=factors, satellites=satellites)
+    return replace(default or NoiseModel(), **values, factors=factors, satellites=satellites)
 
 
 def make_monitor(

@@ -40,17 +40,17 @@ class Policy:
         are kept, and the status is ``alert``.
     keep_rows : int
         Nothing is left out that would leave fewer level rows than this.
-    proof_s : float
-        An excluded group returns after its residuals were small for this long; doubled at every further
-        exclusion.
+    proof_s, proof_epochs : float, int
+        An excluded group returns after its residuals were small for this long and this many epochs; doubled
+        at every further exclusion.
     proof_sigma : float
         What small means, in standard deviations of the residual.
     forget_s : float
         An exclusion ends when its group was absent for this long.
     history : int
         How many epochs back a repair can go.
-    restart_s : float
-        The filter starts anew after this long an alert that nothing could resolve.
+    restart_s, restart_epochs : float, int
+        The filter starts anew after this long an alert, and this many epochs, that nothing could resolve.
     """
 
     exclude: bool = True
@@ -59,10 +59,12 @@ class Policy:
     most_excluded: float = 0.4
     keep_rows: int = 4
     proof_s: float = 30.0
+    proof_epochs: int = 10
     proof_sigma: float = 3.5
     forget_s: float = 300.0
     history: int = 80
     restart_s: float = 30.0
+    restart_epochs: int = 30
 
 
 @dataclass(frozen=True)
@@ -237,15 +239,21 @@ def _sizes(update: Update, rows: list[npt.NDArray[np.intp]]) -> list[float]:
 
 
 def review(
-    standing: dict[str, Standing], update: Update, present: frozenset[str], policy: Policy
+    standing: dict[str, Standing],
+    update: Update,
+    present: frozenset[str],
+    policy: Policy,
+    step_s: float = 0.0,
 ) -> dict[str, Standing]:
     """Return the exclusions that go on after an update: groups that proved themselves, or are long gone, drop
     out.
+
+    `step_s` is the time since the epoch before.
     """
     residual = _worst_residual(update)
     out = {}
     for group, s in standing.items():
-        now = _reviewed(s, update.t_ns, residual.get(group), group in present, policy)
+        now = _reviewed(s, update.t_ns, residual.get(group), group in present, policy, step_s)
         if now is not None:
             out[group] = now
     return out
@@ -260,7 +268,7 @@ def _worst_residual(update: Update) -> dict[str, float]:
 
 
 def _reviewed(
-    s: Standing, t_ns: int, residual: float | None, present: bool, policy: Policy
+    s: Standing, t_ns: int, residual: float | None, present: bool, policy: Policy, step_s: float
 ) -> Standing | None:
     if residual is None:
         gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
@@ -268,5 +276,5 @@ def _reviewed(
     if residual > policy.proof_sigma:
         return replace(s, seen_ns=t_ns, clean_ns=None)
     clean = t_ns if s.clean_ns is None else s.clean_ns
-    needed = policy.proof_s * 2.0 ** (min(s.times, 5) - 1)
+    needed = max(policy.proof_s, policy.proof_epochs * step_s) * 2.0 ** (min(s.times, 5) - 1)
     return None if (t_ns - clean) * 1e-9 >= needed else replace(s, seen_ns=t_ns, clean_ns=clean)

@@ -235,13 +235,13 @@ class Pipeline:
             counts[e.group] = counts.get(e.group, 0) + 1
             standing[e.group] = Standing(e.onset_ns, epoch.t_ns, times=counts[e.group])
         present = frozenset(group_of(k) for o in epoch.observations for k in o.keys)
-        after = review(standing, update, present, self.policy)
+        step_s = _step_s(now, epoch.t_ns)
+        after = review(standing, update, present, self.policy, step_s)
         readmitted = tuple(g for g in standing if g not in after)
         alert = _alert(last.verdicts) or bool(reason)
         since = (now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns) if alert else None
-        stuck = (
-            since is not None and (epoch.t_ns - since) * 1e-9 >= self.policy.restart_s and self.policy.exclude
-        )
+        patience_s = max(self.policy.restart_s, self.policy.restart_epochs * step_s)
+        stuck = since is not None and (epoch.t_ns - since) * 1e-9 >= patience_s and self.policy.exclude
         checkpoint = Checkpoint(
             State.empty(epoch.t_ns) if stuck else update.posterior,
             last.memories,
@@ -252,7 +252,7 @@ class Pipeline:
         )
         if stuck:
             reason = join_reasons(
-                [reason, f"alert unresolved for {self.policy.restart_s:.0f} s: the filter starts anew"]
+                [reason, f"alert unresolved for {patience_s:.0f} s: the filter starts anew"]
             )
         outcome = Outcome(
             epoch.t_ns, _status(last.verdicts, alert), last.updates, last.rewound, last.verdicts,
@@ -274,9 +274,17 @@ def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
 
 
 def _repair_is_due(now: Checkpoint, epoch: Epoch) -> bool:
-    """Tell whether to try a repair of the past: 0, 1, 2, 4, 8, ... s after the beginning of an alert."""
-    waited = 0 if now.alert_since_ns is None else (epoch.t_ns - now.alert_since_ns) // 1_000_000_000
+    """Tell whether to try a repair of the past: 0, 1, 2, 4, 8, ... s (or epochs, where these are longer)
+    after the beginning of an alert.
+    """
+    since = now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns
+    waited = int((epoch.t_ns - since) * 1e-9 / max(1.0, _step_s(now, epoch.t_ns)))
     return waited & (waited - 1) == 0
+
+
+def _step_s(now: Checkpoint, t_ns: int) -> float:
+    """Return the time since the epoch before."""
+    return (t_ns - now.history[-1].epoch.t_ns) * 1e-9 if now.history else 0.0
 
 
 def _alert(verdicts: Sequence[Verdict]) -> bool:

@@ -13,7 +13,10 @@ __all__ = ["Estimator", "Monitor"]
 
 @runtime_checkable
 class Estimator(Protocol):
-    """A filter or a snapshot solver. All steps are pure: same arguments, same result, nothing kept."""
+    """A filter or a snapshot solver. All steps are pure: same arguments, same result, nothing kept.
+
+    An estimator that a run can choose by name also has ``default_noise``, the noise model it starts from.
+    """
 
     def predict(self, state: State, epoch: Epoch) -> Prior:
         """Return the prior at `epoch` from the last posterior (an empty state: start)."""

@@ -13,18 +13,20 @@ from threadpoolctl import threadpool_limits
 from pntegrity.config import RunConfig
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover
-from pntegrity.estimators._gnss import GnssOptions
+from pntegrity.estimators._gnss import GnssOptions, track
 from pntegrity.exclusion import Policy
+from pntegrity.formats.products import ProductFiles, read_products
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import SignalTable, read_observations
 from pntegrity.formats.truth import read_truth
 from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
+from pntegrity.physics.precise_epochs import precise_epochs
 from pntegrity.physics.time import from_iso, to_iso
 from pntegrity.pipeline import Outcome, Pipeline
-from pntegrity.records import Epoch, FloatArray
+from pntegrity.records import Epoch, FloatArray, group_of
 from pntegrity.report.facts import RunFacts
 from pntegrity.sensors.noise import NoiseModel
-from pntegrity.simulate.faults import apply_faults, describe, parse_fault
+from pntegrity.simulate.faults import Fault, apply_faults, describe, parse_fault, touches_any
 
 __all__ = ["RunResult", "load_epochs", "run"]
 
@@ -54,14 +56,54 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
         Naming the file and what to do.
     """
     table = read_observations(config.obs)
-    start_ns, end_ns = _time(config.start, table), _time(config.end, table)
-    loaded = gnss_epochs(
-        table, read_navigation(config.nav), systems=config.systems, ionosphere_free=config.ionosphere_free,
-        start_ns=start_ns, end_ns=end_ns,
-    )  # fmt: skip
+    span = _time(config.start, table), _time(config.end, table)
+    loaded = (_precise if config.sp3 else _broadcast)(config, table, span)
     faults = [parse_fault(text) for text in config.faults]
-    epochs = apply_faults(loaded.epochs, faults) if faults else loaded.epochs
+    epochs = _with_faults(loaded.epochs, faults)
     return GnssEpochs(tuple(epochs), table.notes + loaded.notes, loaded.klobuchar)
+
+
+def _broadcast(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
+    nav = read_navigation(config.nav)
+    return gnss_epochs(
+        table,
+        nav,
+        systems=config.systems,
+        ionosphere_free=config.ionosphere_free,
+        start_ns=span[0],
+        end_ns=span[1],
+    )
+
+
+def _precise(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
+    files = ProductFiles(
+        config.sp3, config.clk, config.bias, config.antex, config.blq, config.erp, config.station
+    )
+    products, site = read_products(files, table)
+    channels = read_navigation(config.nav).glonass_channels if config.nav else {}
+    options = GnssOptions(noise=config.noise_model())
+    return precise_epochs(
+        table, products, lambda epochs: track(epochs, options), systems=config.systems, site=site,
+        channels=channels, start_ns=span[0], end_ns=span[1],
+    )  # fmt: skip
+
+
+def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[Epoch]:
+    """Return the epochs with the faults in them.
+
+    Raises
+    ------
+    InputError
+        Where a fault falls on nothing.
+    """
+    for fault in faults:
+        if not touches_any(fault, epochs):
+            keys = {k for e in epochs for o in e.observations for k in o.keys}
+            there = ", ".join(sorted({group_of(k) for k in keys}))
+            raise InputError(
+                f"fault: {describe(fault)}: no such row at that time", hint=f"The log has {there}"
+            )
+    return apply_faults(epochs, faults) if faults else epochs
 
 
 def _time(text: str | None, table: SignalTable) -> int | None:
@@ -114,7 +156,7 @@ def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None 
     return GnssOptions(
         noise=noise or config.noise_model(), mask_rad=float(np.deg2rad(config.mask_deg)),
         klobuchar=loaded.klobuchar,
-        doppler=config.doppler,
+        doppler=config.doppler, motion=config.motion, max_gap_s=discover()[config.estimator].max_gap_s,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from pntegrity.simulate.linear import Disturbance, linear_epochs, spp_model
 LINEAR = "linear"
 SOURCES = (LINEAR, *sorted(estimators.discover()))
 #: Everything of a run that decides what can be told apart: bad enough that satellites go and come back.
-POLICY = Policy(p_fa=1e-5, proof_s=8.0, restart_s=15.0, history=25)
+POLICY = Policy(p_fa=1e-5, proof_s=8.0, proof_epochs=8, restart_s=15.0, restart_epochs=15, history=25)
 
 
 def variants(cls: type[Any]) -> tuple[str, ...]:

@@ -134,7 +134,7 @@ def test_a_drift_that_all_codes_share_is_an_alert_with_a_reason():
 def test_an_alert_that_nothing_resolves_starts_the_filter_anew():
     # GIVEN exclusion that may leave nobody out, WHEN a fault lasts
     epochs = log(80, "G07 bias 60 m 30:")
-    outcomes = run(kalman(), every(), epochs, keep_rows=99, restart_s=20.0)
+    outcomes = run(kalman(), every(), epochs, keep_rows=99, restart_s=20.0, restart_epochs=20)
     # THEN the alert has a reason, and after 20 s the filter starts anew
     assert not excluded(outcomes)
     assert outcomes[30].status == "alert"

@@ -22,9 +22,30 @@ INPUT = [
         "--nav", type=click.Path(path_type=Path), multiple=True, help="RINEX navigation file; repeatable."
     ),
     click.option(
+        "--sp3", type=click.Path(path_type=Path), multiple=True, help="Precise orbits; repeatable (days)."
+    ),
+    click.option("--clk", type=click.Path(path_type=Path), multiple=True, help="Precise clocks; repeatable."),
+    click.option(
+        "--bias",
+        type=click.Path(path_type=Path),
+        multiple=True,
+        help="Code biases: Bias-SINEX or CODE DCB; repeatable.",
+    ),
+    click.option("--antex", type=click.Path(path_type=Path), multiple=True, help="Antennas; repeatable."),
+    click.option("--blq", type=click.Path(path_type=Path), help="Ocean loading (BLQ)."),
+    click.option("--erp", type=click.Path(path_type=Path), help="Polar motion, for the pole tide."),
+    click.option("--station", help="Station in the BLQ file.  [the marker]"),
+    click.option(
         "--config", type=click.Path(path_type=Path), help="TOML file with any of these options; options win."
     ),
-    click.option("--estimator", help="spp (snapshot) or spp_kf (Kalman filter).  [spp_kf]"),
+    click.option(
+        "--estimator", help="spp (snapshot), spp_kf (Kalman filter) or ppp (precise, with --sp3).  [spp_kf]"
+    ),
+    click.option(
+        "--motion",
+        type=click.Choice(["white", "walk", "velocity", "static"]),
+        help="What ppp knows of the motion: nothing, a random walk, constant velocity, none.  [white]",
+    ),
     click.option("--mask-deg", type=float, help="Elevation mask, degrees.  [10]"),
     click.option("--systems", help="Constellations: G GPS, R GLONASS, E Galileo, C BDS, J QZSS.  [GREC]"),
     click.option(
@@ -84,7 +105,7 @@ def build_config(values: dict[str, Any]) -> RunConfig:
     if "truth_ecef" in given:
         given["truth_ecef_m"] = _triple(given.pop("truth_ecef"))
     merged |= given
-    for name in ("obs", "nav"):
+    for name in ("obs",) if merged.get("sp3") else ("obs", "nav"):
         if not merged.get(name):
             raise InputError(
                 f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config"

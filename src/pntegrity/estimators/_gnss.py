@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +35,9 @@ class GnssOptions:
         Whether range rates are used.
     max_gap_s : float
         After a longer gap the filter starts anew.
+    motion : str
+        What a precise filter knows of the receiver's motion: ``"white"`` (nothing), ``"walk"``,
+        ``"velocity"`` or ``"static"``.
     """
 
     noise: NoiseModel = field(default_factory=NoiseModel)
@@ -40,6 +45,7 @@ class GnssOptions:
     klobuchar: Klobuchar | None = None
     doppler: bool = True
     max_gap_s: float = 120.0
+    motion: Literal["white", "walk", "velocity", "static"] = "white"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +77,10 @@ class Rows:
 
 def code_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> Rows:
     """Return the code rows above the mask; below `SURFACE_M` there is no mask and no atmosphere yet."""
-    o = _sensor(epoch, "code")
+    o = sensor(epoch, "code")
     g = geometry(position_m, o.aux["sv_pos_m"])
-    el, az, on_ground = _angles(position_m, g.los)
-    predicted = g.range_m - o.aux["sv_clk_m"]
+    el, az, on_ground = elevations(position_m, g.los)
+    predicted = g.range_m - o.aux["sv_clk_m"] + model_m(o)
     if on_ground:
         predicted = predicted + troposphere_m(position_m, el, o.t_ns)
         if options.klobuchar is not None:
@@ -87,18 +93,35 @@ def code_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> Row
 
 def rate_rows(epoch: Epoch, position_m: FloatArray, velocity_mps: FloatArray, options: GnssOptions) -> Rows:
     """Return the range-rate rows above the mask."""
-    o = _sensor(epoch, "doppler")
+    o = sensor(epoch, "doppler")
     if not options.doppler:
         o = o.select(np.zeros(len(o.keys), dtype=bool))
     g = geometry(position_m, o.aux["sv_pos_m"])
-    el, az, on_ground = _angles(position_m, g.los)
+    el, az, on_ground = elevations(position_m, g.los)
     rate = range_rate(velocity_mps, position_m, o.aux["sv_pos_m"], o.aux["sv_vel_mps"], g.los)
     factor = options.noise.rate_factor(o.keys)
     rows = _rows(o, rate - o.aux["sv_clk_rate_mps"], g.los, el, az, options.noise, factor, factor)
     return rows.select(el >= options.mask_rad) if on_ground else rows
 
 
-def _sensor(epoch: Epoch, name: str) -> Observation:
+def model_m(o: Observation) -> FloatArray:
+    """Return the corrections of a prediction that were made beforehand, zeros where there are none."""
+    made = o.aux.get("model_m")
+    return np.zeros(len(o.keys)) if made is None else np.asarray(made)
+
+
+def track(epochs: Sequence[Epoch], options: GnssOptions) -> FloatArray:
+    """Return least-squares positions of code, shape (n, 3), nan where there is none."""
+    out, guess = np.full((len(epochs), 3), np.nan), np.zeros(3)
+    for i, epoch in enumerate(epochs):
+        fix = snapshot(epoch, options, guess)
+        if not fix.reason:
+            out[i] = guess = fix.position_m
+    return out
+
+
+def sensor(epoch: Epoch, name: str) -> Observation:
+    """Return the observation of a sensor, an empty one where there is none."""
     found = epoch.sensor(name)
     if found is not None:
         return found
@@ -110,7 +133,10 @@ def _sensor(epoch: Epoch, name: str) -> Observation:
 _AUX = ("sv_clk_m", "sv_clk_rate_mps", "freq_hz", "cn0_dbhz", "iono_factor")
 
 
-def _angles(position_m: FloatArray, los: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+def elevations(position_m: FloatArray, los: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Return elevations, azimuths, and whether the position is one on the ground (else all are at the
+    zenith).
+    """
     if float(position_m @ position_m) < SURFACE_M**2:
         return np.full(len(los), np.pi / 2), np.zeros(len(los)), False
     el, az = elevation_azimuth(position_m, los)

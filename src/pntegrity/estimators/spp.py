@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from pntegrity.estimators._gnss import GnssOptions, Rows, rate_rows
 from pntegrity.estimators._navigation import fix_prior, linear_update
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update
+from pntegrity.sensors.noise import NoiseModel
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,8 @@ class Spp:
     options : GnssOptions
     """
 
+    default_noise: ClassVar[NoiseModel] = NoiseModel()
+    max_gap_s: ClassVar[float] = 120.0
     options: GnssOptions = field(default_factory=GnssOptions)
 
     def predict(self, state: State, epoch: Epoch) -> Prior:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -37,6 +38,8 @@ class SppKf:
     options : GnssOptions
     """
 
+    default_noise: ClassVar[NoiseModel] = NoiseModel()
+    max_gap_s: ClassVar[float] = 120.0
     options: GnssOptions = field(default_factory=GnssOptions)
 
     def predict(self, state: State, epoch: Epoch) -> Prior:

@@ -8,21 +8,32 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.kernels.linear import inverse_lower
 from pntegrity.kernels.signatures import is_rate
 from pntegrity.records import FloatArray, Update
 
-__all__ = ["normalised", "whiteness"]
+__all__ = ["beside_others", "normalised", "whiteness"]
 
 
 def normalised(updates: Sequence[Update]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return row keys and the innovations over their standard deviations (n_updates, n_keys); nan: no row."""
+    """Return row keys and normalised innovations (n_updates, n_keys); nan: no row.
+
+    A row's is ``(S^-1 nu)_i / sqrt((S^-1)_ii)``: what it says beside all other rows of the epoch, in its
+    standard deviations. What the epoch's own data determine (a clock without memory) is not in it.
+    """
     keys = tuple(dict.fromkeys(k for u in updates for k in u.keys))
     column = {k: i for i, k in enumerate(keys)}
     out = np.full((len(updates), len(keys)), np.nan)
     for i, u in enumerate(updates):
         if u.keys:
-            out[i, [column[k] for k in u.keys]] = u.nu / np.sqrt(u.S.diagonal())
+            out[i, [column[k] for k in u.keys]] = beside_others(u)
     return keys, out
+
+
+def beside_others(update: Update) -> FloatArray:
+    """Return ``(S^-1 nu)_i / sqrt((S^-1)_ii)``, shape (m,): unit normal each without a fault (Baarda's w)."""
+    root = inverse_lower(update.L)
+    return np.asarray((root.T @ update.white) / np.sqrt(np.einsum("ij,ij->j", root, root)))
 
 
 def whiteness(updates: Iterable[Update], lags_s: Sequence[float] = (1.0, 5.0, 30.0)) -> dict[str, Any]:

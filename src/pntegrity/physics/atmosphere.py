@@ -16,11 +16,12 @@ from pntegrity.physics.tables import Klobuchar
 from pntegrity.physics.time import DAY_NS, SECOND_NS, to_unix_us
 from pntegrity.records import FloatArray
 
-__all__ = ["klobuchar_m", "troposphere_m"]
+__all__ = ["klobuchar_m", "mapping_factors", "troposphere_m", "zenith_delays_m"]
 
 LOWEST_M, HIGHEST_M = -1_000.0, 20_000.0
 """Heights between which a receiver has a troposphere above it."""
 HUMIDITY = 0.5
+NIELL_LOWEST_RAD = 0.0524
 LOWEST_RAD, HIGHEST_RAD = 0.0175, 1.5708
 """Elevations: below 1 degree the mapping functions grow without bound and are kept at their value there."""
 
@@ -93,14 +94,46 @@ def troposphere_m(receiver_m: npt.ArrayLike, el_rad: FloatArray, t_ns: int) -> F
     lat, lon, height = geodetic_of(*np.asarray(receiver_m, dtype=np.float64).tolist())
     if not LOWEST_M < height < HIGHEST_M:
         return np.zeros(len(el_rad))
-    pressure_hpa = 1013.25 * (1.0 - 2.2557e-5 * height) ** 5.2568
-    temperature_k = 288.15 - 6.5e-3 * height
     when = to_unix_us(t_ns)
     model = sidereon.tropo_slant_delay
-    fixed = (lat, lon, height, pressure_hpa, temperature_k, HUMIDITY, when)
+    fixed = (lat, lon, height, *_standard(height), HUMIDITY, when)
     return np.array(
         [
             model(max(el, LOWEST_RAD), *fixed) if 0.0 < el < HIGHEST_RAD else 0.0
             for el in np.asarray(el_rad).tolist()
         ]
     )
+
+
+def zenith_delays_m(receiver_m: npt.ArrayLike) -> tuple[float, float]:
+    """Return dry and wet zenith delay, m, of the standard atmosphere; zeros where there is no troposphere."""
+    import sidereon
+
+    lat, _, height = geodetic_of(*np.asarray(receiver_m, dtype=np.float64).tolist())
+    if not LOWEST_M < height < HIGHEST_M:
+        return 0.0, 0.0
+    dry, wet = sidereon.tropo_zenith_delay(lat, height, *_standard(height), HUMIDITY)
+    return float(dry), float(wet)
+
+
+def _standard(height_m: float) -> tuple[float, float]:
+    """Return pressure (hPa) and temperature (K) of the standard atmosphere."""
+    return 1013.25 * (1.0 - 2.2557e-5 * height_m) ** 5.2568, 288.15 - 6.5e-3 * height_m
+
+
+def mapping_factors(
+    receiver_m: npt.ArrayLike, el_rad: FloatArray, t_ns: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return Niell's dry and wet mapping factors, shapes (n,): how much longer than at the zenith a delay is.
+
+    Below 3 degrees they are kept at their value there.
+    """
+    import sidereon
+
+    lat, _, height = geodetic_of(*np.asarray(receiver_m, dtype=np.float64).tolist())
+    if not LOWEST_M < height < HIGHEST_M:
+        return np.zeros(len(el_rad)), np.zeros(len(el_rad))
+    when, factors = to_unix_us(t_ns), sidereon.tropo_mapping_factors
+    elevations = np.clip(el_rad, NIELL_LOWEST_RAD, HIGHEST_RAD - 1e-9).tolist()
+    pairs = np.array([factors(el, lat, height, when) for el in elevations]).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]

@@ -10,7 +10,10 @@ import numpy.typing as npt
 
 from pntegrity.records import FloatArray
 
-__all__ = ["ecef_to_geodetic", "elevation_azimuth", "enu_rotation", "geodetic_of", "geodetic_to_ecef"]
+__all__ = [
+    "ecef_to_geodetic", "elevation_azimuth", "enu_rotation", "enu_rotations", "geodetic_of",
+    "geodetic_to_ecef",
+]  # fmt: skip
 
 
 def ecef_to_geodetic(position_m: npt.ArrayLike) -> FloatArray:
@@ -62,6 +65,14 @@ def geodetic_of(x_m: float, y_m: float, z_m: float) -> tuple[float, float, float
 def enu_rotation(position_m: npt.ArrayLike) -> FloatArray:
     """Return the matrix (3, 3) that turns ECEF differences at a position into east, north, up."""
     return _rotation(*np.asarray(position_m, dtype=np.float64).tolist())
+
+
+def enu_rotations(positions_m: FloatArray) -> FloatArray:
+    """Return `enu_rotation` of each of the positions (n, 3), shape (n, 3, 3)."""
+    lat, lon, _ = ecef_to_geodetic(positions_m).T
+    (sp, cp), (sl, cl), zero = (np.sin(lat), np.cos(lat)), (np.sin(lon), np.cos(lon)), np.zeros(len(lat))
+    rows = [[-sl, cl, zero], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
+    return np.moveaxis(np.array(rows), 2, 0)
 
 
 @lru_cache(maxsize=64)

@@ -10,7 +10,10 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
-__all__ = ["DEFAULT_PAIRS", "DEFAULT_SIGNALS", "SPEED_OF_LIGHT_MPS", "WORDS", "frequency_hz"]
+__all__ = [
+    "CLOCK_SIGNALS", "DEFAULT_PAIRS", "DEFAULT_SIGNALS", "PRECISE_PAIRS", "SPEED_OF_LIGHT_MPS", "WORDS",
+    "frequency_hz",
+]  # fmt: skip
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 
@@ -36,6 +39,17 @@ DEFAULT_PAIRS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "J": (("1C", "1Z"), ("2L", "2X", "2S")),
 }
 """First and second frequency of an ionosphere-free pair, each in order of preference."""
+
+PRECISE_PAIRS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = DEFAULT_PAIRS | {
+    "G": (("1W", "1P", "1C"), ("2W", "2P", "2L", "2X", "2S", "2C")),
+    "R": (("1P", "1C"), ("2P", "2C")),
+}
+"""The same where precise clocks are used: first the codes that they refer to."""
+
+CLOCK_SIGNALS: dict[str, tuple[str, str]] = {
+    "G": ("1W", "2W"), "R": ("1P", "2P"), "E": ("1C", "5Q"), "C": ("2I", "6I"), "J": ("1C", "2L"),
+}  # fmt: skip
+"""The pair whose ionosphere-free combination precise clocks refer to, by the convention of the IGS."""
 
 
 @lru_cache(maxsize=4096)

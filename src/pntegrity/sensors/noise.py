@@ -48,6 +48,21 @@ class NoiseModel:
         Receiver clock, random walk of the drift, m/s/sqrt(s).
     isb_m : float
         Inter-system biases, random walk, m/sqrt(s).
+    glonass_code_bias_m : float
+        A further, constant code bias of each GLONASS satellite (its frequency's path through the receiver).
+    carrier_m : float
+        White carrier noise at the zenith, scaled like code.
+    ambiguity_m : float
+        Ambiguities, random walk, m/sqrt(s): what satellite orbits and clocks, multipath and the atmosphere
+        leave in carriers changes slowly, and would make innovations coloured.
+    zwd_m, zwd_walk_m : float
+        Zenith wet delay: standard deviation at the start about the standard atmosphere's, random walk
+        m/sqrt(s).
+    gradient_m, gradient_walk_m : float
+        Horizontal gradients of the wet delay: standard deviation, random walk m/sqrt(s). Zero `gradient_m`:
+        none.
+    position_m : float
+        How far the position may walk, m/sqrt(s), where the motion is a random walk.
     satellites : tuple of (str, float, float)
         Satellite, code factor, range-rate factor: what a calibration found beside the above, at its site and
         hours.
@@ -71,6 +86,14 @@ class NoiseModel:
     clock_m: float = 0.05
     clock_drift_mps: float = 0.05
     isb_m: float = 0.001
+    glonass_code_bias_m: float = 0.0
+    carrier_m: float = 0.003
+    ambiguity_m: float = 2e-4
+    zwd_m: float = 0.2
+    zwd_walk_m: float = 1e-4
+    gradient_m: float = 0.0
+    gradient_walk_m: float = 1e-5
+    position_m: float = 1.0
     satellites: tuple[tuple[str, float, float], ...] = ()
     factors: tuple[tuple[str, float], ...] = ()
     name: str = "default"
@@ -87,8 +110,9 @@ class NoiseModel:
                 raise ValueError(f"noise model: `{tau}` must be above 0, not {getattr(self, tau)}")
         if self.code_smoothing_tau_s == self.code_multipath_tau_s:
             raise ValueError("noise model: `code_smoothing_tau_s` must differ from `code_multipath_tau_s`")
-        if self.code_white_m <= 0.0 or self.doppler_mps <= 0.0:
-            raise ValueError("noise model: `code_white_m` and `doppler_mps` must be above 0")
+        for name in ("code_white_m", "doppler_mps", "carrier_m"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"noise model: `{name}` must be above 0, not {getattr(self, name)}")
 
     def factor(self, monitor: str) -> float:
         """Return the threshold factor of a monitor, 1 where none was calibrated."""
@@ -152,3 +176,14 @@ def _rate_factor(keys: tuple[str, ...], satellites: tuple[tuple[str, float, floa
 
 #: A white model: no correlated states; what the simulations of the literature assume.
 WHITE = NoiseModel(code_white_m=1.0, code_multipath_m=0.0, code_bias_m=0.0, doppler_mps=0.1, name="white")
+
+#: What precise point positioning starts from: ionosphere-free code (three times as noisy) and carrier.
+PPP = NoiseModel(
+    code_white_m=0.5,
+    code_multipath_m=0.0,
+    code_bias_m=0.0,
+    code_bias_tau_s=86400.0,
+    glonass_code_bias_m=4.0,
+    isb_m=0.001,
+    name="default",
+)

@@ -18,7 +18,16 @@ from pntegrity.kernels.signatures import family_of, is_rate
 from pntegrity.physics.time import from_iso, to_iso
 from pntegrity.records import Epoch, FloatArray, group_of
 
-__all__ = ["GRAMMAR", "Fault", "apply_faults", "describe", "groups_at_fault", "parse_fault", "signature"]
+__all__ = [
+    "GRAMMAR",
+    "Fault",
+    "apply_faults",
+    "describe",
+    "groups_at_fault",
+    "parse_fault",
+    "signature",
+    "touches_any",
+]
 
 Kind = Literal["bias", "ramp", "sine", "clock-drift"]
 
@@ -235,6 +244,15 @@ def signature(fault: Fault, keys: Sequence[str], t_ns: int, first_ns: int) -> Fl
         if fault.touches(key):
             out[i] = rate if is_rate(key) and not only_rates else level
     return out
+
+
+def touches_any(fault: Fault, epochs: Sequence[Epoch]) -> bool:
+    """Tell whether a fault falls on any row of the epochs while it is active."""
+    first_ns = epochs[0].t_ns if epochs else 0
+    return any(
+        fault.active(e.t_ns, first_ns) and any(fault.touches(k) for o in e.observations for k in o.keys)
+        for e in epochs
+    )
 
 
 def apply_faults(

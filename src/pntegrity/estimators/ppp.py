@@ -1,0 +1,230 @@
+"""Kalman precise point positioning with float ambiguities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from pntegrity.estimators._carrier import PreciseRows, precise_rows
+from pntegrity.estimators._gnss import Fix, GnssOptions, snapshot
+from pntegrity.estimators._layout import columns
+from pntegrity.estimators._navigation import no_prior
+from pntegrity.estimators._precise import (
+    BORN_M,
+    clock_name,
+    jacobian,
+    layout_of,
+    stationary_variance,
+    transition,
+)
+from pntegrity.kernels.sparse import sandwich
+from pntegrity.physics.atmosphere import zenith_delays_m
+from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
+from pntegrity.sensors.noise import PPP, NoiseModel
+
+#: Code residuals spread wider than this about their median: the position is not where it was, m.
+ASTRAY_M = 25.0
+
+
+@dataclass(frozen=True)
+class Ppp:
+    """Precise point positioning: code and carrier, receiver clock, wet delay, one ambiguity an arc.
+
+    The position is white noise, a random walk, constant velocity with white acceleration, or static
+    (`GnssOptions.motion`). The clock is white: its mean is taken from the epoch's code, so is that of a
+    constellation seen first and that of an ambiguity born; each counts as consumed. Further constellations
+    have an inter-system bias. The wet delay and its gradients walk; ambiguities walk a little, which carries
+    the slow errors of orbits, clocks and multipath; GLONASS satellites have a code bias each. An arc that
+    ends takes its ambiguity with it.
+
+    Rows are ionosphere-free pairs where the epochs hold them. A satellite that is left out keeps an ambiguity
+    that is born at the epoch of its exclusion: its carrier can show that it goes on, and needs no other
+    reset.
+
+    Parameters
+    ----------
+    options : GnssOptions
+    """
+
+    default_noise: ClassVar[NoiseModel] = PPP
+    max_gap_s: ClassVar[float] = 3600.0
+    options: GnssOptions = field(default_factory=lambda: GnssOptions(noise=PPP, max_gap_s=Ppp.max_gap_s))
+
+    def predict(self, state: State, epoch: Epoch) -> Prior:
+        """Return the prior at `epoch`; starts from a code fix where there is no state or the gap is too
+        long.
+        """
+        dt = (epoch.t_ns - state.t_ns) * 1e-9
+        if not len(state) or dt > self.options.max_gap_s or dt <= 0.0:
+            events = (f"restart after a gap of {dt:.0f} s",) if len(state) else ()
+            return self._start(state, epoch, (*events, "start"))
+        moved = state.mean[:3] + (dt * state.mean[3:6] if self.options.motion == "velocity" else 0.0)
+        rows = precise_rows(epoch, moved, self.options)
+        if self.options.motion == "white" and _spread_m(rows) > ASTRAY_M:
+            fix = snapshot(epoch, self.options, moved)
+            if not fix.reason:
+                return self._step(state, epoch, precise_rows(epoch, fix.position_m, self.options), fix)
+        return self._step(state, epoch, rows, None)
+
+    def relax(self, prior: Prior) -> Prior:
+        """Return the prior with position, velocity and clock born anew; all else stays known."""
+        if not len(prior.state):
+            return prior
+        layout = prior.state.layout
+        free = np.concatenate([layout.block(b) for b in ("pos", "vel", "clk")])
+        variance = stationary_variance(layout, prior.context, self.options)[free]
+        event = "motion or clock beyond the model: started anew"
+        return replace(_reborn(prior, free, variance, event), consumed=prior.consumed + len(free) - 1)
+
+    def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
+        """Use the epoch's rows but for those of the groups in `exclude`."""
+        if exclude and len(prior.state) and not prior.F.any():  # the fix behind a start must be without them
+            prior = self._start_at(epoch, prior.state.mean[:3], prior.F.shape[1], prior.events, exclude)
+        if not len(prior.state):
+            reason = prior.events[-1] if prior.events else "not started"
+            return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
+        rows: PreciseRows = prior.context
+        used = np.array([g not in exclude for g in rows.names.groups], dtype=bool)
+        few = len(set(rows.names.groups) - exclude)
+        if few < 4 and self.options.motion == "white":
+            none = np.zeros(len(rows), dtype=bool)
+            return _update(prior, rows, none, f"{few} satellites do not determine a position")
+        return _update(prior, rows, used, "" if few else "no satellite above the mask")
+
+    def _start(self, old: State, epoch: Epoch, events: tuple[str, ...]) -> Prior:
+        guess = old.mean[:3] if len(old) else np.zeros(3)
+        return self._start_at(epoch, guess, len(old), events)
+
+    def _start_at(
+        self, epoch: Epoch, guess_m: FloatArray, n_old: int, events: tuple[str, ...],
+        exclude: frozenset[str] = frozenset(),
+    ) -> Prior:  # fmt: skip
+        fix = snapshot(epoch, self.options, guess_m, exclude)
+        if fix.reason:
+            return no_prior(epoch.t_ns, n_old, (*events, fix.reason))
+        rows = precise_rows(epoch, fix.position_m, self.options)
+        layout = layout_of(Layout(), rows, self.options)
+        mean = np.zeros(len(layout))
+        mean[layout.block("pos")] = fix.position_m
+        if fix.velocity_mps is not None and len(layout.block("vel")):
+            mean[layout.block("vel")] = fix.velocity_mps
+        mean[layout.block("zwd")] = zenith_delays_m(fix.position_m)[1]
+        F = np.zeros((len(layout), n_old))
+        mean, consumed, _ = _births(mean, layout, F, rows, exclude)
+        Q = np.diag(stationary_variance(layout, rows, self.options))
+        return Prior(State(epoch.t_ns, mean, Q, layout), F, Q, consumed + 3, events, rows)
+
+    def _step(self, state: State, epoch: Epoch, rows: PreciseRows, fix: Fix | None) -> Prior:
+        """Return the prior after `state`; with a `fix` its position is born there."""
+        dt = (epoch.t_ns - state.t_ns) * 1e-9
+        layout = layout_of(state.layout, rows, self.options)
+        F, Q = transition(state.layout, layout, dt, rows, self.options)
+        mean = F @ state.mean
+        events: tuple[str, ...] = ()
+        consumed = 0
+        if fix is not None:
+            F[:3], mean[:3], consumed = 0.0, fix.position_m, 3
+            events = ("position started anew from code",)
+        mean, born, more = _births(mean, layout, F, rows)
+        P = sandwich(F, state.P) + Q
+        return Prior(State(epoch.t_ns, mean, P, layout), F, Q, consumed + born, events + more, rows)
+
+
+def _middle(values: FloatArray) -> float:
+    """Return the upper median."""
+    return float(np.sort(values)[len(values) // 2])
+
+
+def _spread_m(rows: PreciseRows) -> float:
+    """Return how far code residuals spread about the medians of their constellations."""
+    code = ~rows.names.carrier
+    residual, system = (rows.y - rows.predicted)[code], rows.names.system[code]
+    apart = [np.abs(own - _middle(own)) for s in set(system.tolist()) if len(own := residual[system == s])]
+    return 1.4826 * _middle(np.concatenate(apart)) if apart else 0.0
+
+
+def _births(
+    mean: FloatArray, layout: Layout, F: FloatArray, rows: PreciseRows, exclude: frozenset[str] = frozenset()
+) -> tuple[FloatArray, int, tuple[str, ...]]:
+    """Return the mean with what the data initialise, how much that is, and what happened.
+
+    The clock is the median of the code, a new constellation's bias that of its own code, an ambiguity what
+    its carrier is longer than predicted.
+    """
+    mean, names = mean.copy(), rows.names
+    new = np.asarray(~F.any(axis=1))
+    residual = rows.y - rows.predicted - jacobian(layout, rows)[:, 3:] @ mean[3:]
+    isb = columns(layout, names.isb)
+    fresh = {i for i in isb.tolist() if i >= 0 and new[i]}
+    code = ~names.carrier
+    if exclude:
+        kept = code & np.array([g not in exclude for g in names.groups], dtype=bool)
+        code = kept if kept.any() else code
+    known = code & ~np.isin(isb, list(fresh)) if fresh else code
+    clock = _middle(residual[known if known.any() else code]) if code.any() else 0.0
+    mean[layout.index[clock_name(layout)]] += clock
+    residual -= clock
+    events = []
+    for i in sorted(fresh):
+        own = isb == i
+        shift = _middle(residual[own & code] if (own & code).any() else residual[own])
+        mean[i] += shift
+        residual[own] -= shift
+        events.append(f"first satellites of {layout.names[i][4:]}")
+    arcs = columns(layout, names.ambiguity)
+    born = np.flatnonzero(names.carrier & new[arcs])
+    mean[arcs[born]] += residual[born]
+    return mean, int(code.any()) + len(fresh) + len(born), tuple(events)
+
+
+def _reborn(prior: Prior, states: np.ndarray, variance: FloatArray, *event: str) -> Prior:
+    """Return the prior with some states born anew: what came before says nothing of them."""
+    F, Q, P = prior.F.copy(), prior.Q.copy(), prior.state.P.copy()
+    F[states] = 0.0
+    for matrix in (Q, P):
+        matrix[states], matrix[:, states] = 0.0, 0.0
+        matrix[states, states] = variance
+    state = State(prior.state.t_ns, prior.state.mean, P, prior.state.layout)
+    return replace(prior, state=state, F=F, Q=Q, events=(*prior.events, *event))
+
+
+def _update(prior: Prior, rows: PreciseRows, used: np.ndarray, reason: str) -> Update:
+    """Return the update with the rows `used`; the others become its spare rows."""
+    layout = prior.state.layout
+    H = jacobian(layout, rows)
+    if not used.all():  # what the data initialise is initialised by those that are used
+        out = frozenset(g for g, u in zip(rows.names.groups, used, strict=True) if not u)
+        mean = _births(prior.state.mean, layout, prior.F, rows, out)[0]
+        prior = replace(prior, state=State(prior.state.t_ns, mean, prior.state.P, layout))
+    arcs = columns(layout, rows.names.ambiguity)[~used]
+    arcs = arcs[arcs >= 0]
+    again = arcs[(np.diagonal(prior.state.P)[arcs] < 0.5 * BORN_M**2) | ~prior.F[arcs].any(axis=1)]
+    if len(again):
+        prior = _reborn(prior, again, np.full(len(again), BORN_M**2))
+    nu = rows.y - rows.predicted - H[:, 3:] @ prior.state.mean[3:]
+    R = np.diag(rows.sigma_m[used] ** 2)
+    aux = {name: getattr(rows, name)[used] for name in ("el_rad", "az_rad", "cn0_dbhz")}
+    keys = rows.keys if used.all() else tuple(k for k, u in zip(rows.keys, used, strict=True) if u)
+    update = Update.of(prior, keys, nu[used], H[used], R, aux=aux, reason=reason)
+    if used.all():
+        return update
+    H_out, nu_out = H[~used], nu[~used]
+    after = nu_out - H_out @ (update.posterior.mean - update.prior.mean)
+    born = np.isin(columns(layout, rows.names.ambiguity)[~used], again)
+    update = _with_means(update, columns(layout, rows.names.ambiguity)[~used][born], after[born])
+    H_out[:, arcs] = 0.0  # what the arc was born with is known: its carrier shows what came after
+    nu_out[born] -= after[born]
+    left = tuple(k for k, u in zip(rows.keys, used, strict=True) if not u)
+    return update.with_spares(left, nu_out, H_out, rows.sigma_m[~used] ** 2)
+
+
+def _with_means(update: Update, states: np.ndarray, shift: FloatArray) -> Update:
+    """Return the update with some means shifted, of states that its rows say nothing of."""
+    moved = []
+    for state in (update.prior, update.posterior):
+        mean = state.mean.copy()
+        mean[states] += shift
+        moved.append(State(state.t_ns, mean, state.P, state.layout))
+    return update.altered(prior=moved[0], posterior=moved[1])

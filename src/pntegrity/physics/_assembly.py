@@ -1,0 +1,231 @@
+"""From chosen rows and satellite states to epochs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pntegrity.physics._choice import Chosen
+from pntegrity.physics.orbits import SatelliteStates
+from pntegrity.physics.signals import SPEED_OF_LIGHT_MPS, frequency_hz
+from pntegrity.physics.tables import Klobuchar, SignalTable
+from pntegrity.records import Epoch, FloatArray, Observation
+
+__all__ = ["Bands", "Extra", "GnssEpochs", "assemble", "bands", "take"]
+
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class GnssEpochs:
+    """The epochs of a log.
+
+    Parameters
+    ----------
+    epochs : tuple of Epoch
+        One a time tag, also where no satellite is left (its notes tell why).
+    notes : tuple of str
+        What was left out over the whole log, counted.
+    klobuchar : Klobuchar or None
+        Ionosphere coefficients of the navigation files.
+    """
+
+    epochs: tuple[Epoch, ...]
+    notes: tuple[str, ...]
+    klobuchar: Klobuchar | None
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """What precise positioning needs of each chosen row beside satellite states, shapes (n,).
+
+    Parameters
+    ----------
+    code_m, carrier_m : ndarray
+        To be added to the prediction: antennas, tides, wind-up, biases.
+    arc : ndarray of int64
+        Number of the carrier's arc; another one where the ambiguity is another one.
+    arc_reason : ndarray of int64
+        Why an arc begins at this row (`kernels.slips.WORDS`), 0 where it goes on.
+    carrier_shift_m : ndarray
+        To be added to the carrier: jumps of the receiver's clock that the file shows in its code only.
+    """
+
+    code_m: FloatArray
+    carrier_m: FloatArray
+    arc: npt.NDArray[np.int64]
+    arc_reason: npt.NDArray[np.int64]
+    carrier_shift_m: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Frequencies of the first and second code (nan: none) and the pair's ionosphere-free coefficients."""
+
+    freq_hz: FloatArray
+    freq2_hz: FloatArray
+
+    def combine(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """Return the ionosphere-free combination, or the first where there is no second."""
+        gamma = (self.freq_hz / self.freq2_hz) ** 2
+        return np.where(np.isnan(self.freq2_hz), first, (gamma * first - second) / (gamma - 1.0))
+
+    @property
+    def wavelengths_m(self) -> tuple[FloatArray, FloatArray]:
+        """Wavelengths of both."""
+        return SPEED_OF_LIGHT_MPS / self.freq_hz, SPEED_OF_LIGHT_MPS / self.freq2_hz
+
+
+def bands(table: SignalTable, channels: Mapping[str, int], chosen: Chosen, at: Index) -> Bands:
+    """Return the frequencies of some of the chosen rows."""
+    sat = chosen.sat[at]
+    return Bands(*(_frequencies(table, channels, sat, r[at]) for r in (chosen.first, chosen.second)))
+
+
+def take(values: FloatArray, rows: Index) -> FloatArray:
+    """Return values of table rows, nan where there is no row."""
+    return np.where(rows >= 0, values[rows], np.nan)
+
+
+def assemble(
+    table: SignalTable,
+    channels: Mapping[str, int],
+    t_ns: npt.NDArray[np.int64],
+    chosen: Chosen,
+    states: SatelliteStates,
+    reasons: npt.NDArray[np.object_],
+    extra: Extra | None = None,
+) -> tuple[tuple[Epoch, ...], list[str]]:
+    """Return the epochs at the time tags, and notes on what was left out."""
+    offset = int(np.searchsorted(table.t_ns, t_ns[0]))
+    n = len(t_ns)
+    sensors = _measurements(table, channels, chosen, states, extra)
+    per_sensor = [
+        _slices(name, t_ns, chosen.epoch[at] - offset, keys, y, aux)
+        for name, (at, keys, y, aux) in sensors.items()
+    ]
+    lost = np.flatnonzero(reasons != "")
+    texts = [f"{s}: {r}" for s, r in zip(chosen.sat[lost].tolist(), reasons[lost].tolist(), strict=True)]
+    bounds = np.searchsorted(chosen.epoch[lost] - offset, np.arange(n + 1)).tolist()
+    epochs = tuple(
+        Epoch(
+            t,
+            tuple(o for s in per_sensor if (o := s[i]) is not None),
+            tuple(texts[bounds[i] : bounds[i + 1]]),
+        )
+        for i, t in enumerate(t_ns.tolist())
+    )
+    counted = [f"{text} ({k} of {n} epochs)" for text, k in sorted(Counter(texts).items())]
+    return epochs, counted
+
+
+def _measurements(
+    table: SignalTable,
+    channels: Mapping[str, int],
+    chosen: Chosen,
+    states: SatelliteStates,
+    extra: Extra | None,
+) -> dict[str, tuple[Index, list[str], FloatArray, dict[str, npt.NDArray[np.generic]]]]:
+    """Return for each sensor: rows of `chosen`, keys, values and aux."""
+    ok = np.flatnonzero(states.ok)
+    band = bands(table, channels, chosen, ok)
+    code = [c[ok] for c in (chosen.first, chosen.second)]
+    carrier = [c[ok] for c in (chosen.carrier_first, chosen.carrier_second)]
+    wave = band.wavelengths_m
+    cycles = [w * take(table.carrier_cycles, c) for w, c in zip(wave, carrier, strict=True)]
+    values = {
+        "code": band.combine(*(take(table.pseudorange_m, c) for c in code)),
+        "doppler": -wave[0] * _first_of(table.doppler_hz, carrier[0], code[0]),
+        "carrier": band.combine(*cycles),
+    }
+    aux = _aux(table, states, ok, band, code, carrier)
+    own: dict[str, dict[str, npt.NDArray[np.generic]]] = {name: {} for name in values}
+    if extra is not None:
+        values["carrier"] = values["carrier"] + extra.carrier_shift_m[ok]
+        own["code"] = {"model_m": extra.code_m[ok]}
+        own["carrier"] = {
+            "model_m": extra.carrier_m[ok], "arc": extra.arc[ok], "arc_reason": extra.arc_reason[ok],
+        }  # fmt: skip
+    out = {}
+    for (name, y), letter in zip(values.items(), "CDL", strict=True):
+        at = np.flatnonzero(np.isfinite(y))
+        first, second = carrier if letter == "L" else code
+        second = second[at] if letter != "D" else np.full(len(at), -1)
+        keys = _keys(table, chosen.sat[ok][at], letter, first[at], second)
+        out[name] = ok[at], keys, y[at], {k: v[at] for k, v in (aux | own[name]).items()}
+    return out
+
+
+def _first_of(values: FloatArray, *rows: Index) -> FloatArray:
+    """Return the values of the first of several rows that has one."""
+    out = take(values, rows[-1])
+    for r in reversed(rows[:-1]):
+        own = take(values, r)
+        out = np.where(np.isfinite(own), own, out)
+    return out
+
+
+def _aux(
+    table: SignalTable,
+    states: SatelliteStates,
+    ok: Index,
+    band: Bands,
+    code: list[Index],
+    carrier: list[Index],
+) -> dict[str, npt.NDArray[np.generic]]:
+    lli = [np.where(c >= 0, table.lli[c], 0) for c in carrier]
+    return {
+        "sv_pos_m": states.position_m[ok],
+        "sv_vel_mps": states.velocity_mps[ok],
+        "sv_clk_m": states.clock_m[ok],
+        "sv_clk_rate_mps": states.clock_rate_mps[ok],
+        "sv_var_m2": states.variance_m2[ok],
+        "freq_hz": band.freq_hz,
+        "cn0_dbhz": _first_of(table.cn0_dbhz, carrier[0], code[0]),
+        "lli": (lli[0] | lli[1]).astype(np.int8),
+        "iono_factor": np.where(code[1] >= 0, 0.0, 1.0),
+    }
+
+
+def _frequencies(
+    table: SignalTable, channels: Mapping[str, int], sat: npt.NDArray[np.str_], rows: Index
+) -> FloatArray:
+    """Return carrier frequencies, nan where there is no row or the GLONASS channel is unknown."""
+    names = np.char.add(sat, table.signal[rows]) if len(rows) else sat
+    kinds, inverse = np.unique(names, return_inverse=True)
+    values = [frequency_hz(k[0], k[3:], channels.get(k[:3])) for k in kinds.tolist()]
+    return np.where(rows >= 0, np.array(values)[inverse], np.nan)
+
+
+def _keys(
+    table: SignalTable, sat: npt.NDArray[np.str_], letter: str, first: Index, second: Index
+) -> list[str]:
+    signal = table.signal[first].astype("<U2")
+    tail = np.where(second >= 0, np.char.add(f"+{letter}", table.signal[second]), "")
+    names = np.char.add(np.char.add(sat, f":{letter}"), np.char.add(signal, tail))
+    kinds, inverse = np.unique(names, return_inverse=True)
+    shared: list[str] = kinds.astype(object)[inverse].tolist()  # one str object a key, not one a row
+    return shared
+
+
+def _slices(
+    sensor: str,
+    t_ns: npt.NDArray[np.int64],
+    epoch: npt.NDArray[np.int64],
+    keys: list[str],
+    y: FloatArray,
+    aux: dict[str, npt.NDArray[np.generic]],
+) -> list[Observation | None]:
+    """Return one observation for each time tag, None where the sensor has no row."""
+    for a in (y, *aux.values()):
+        a.flags.writeable = False
+    bounds = np.searchsorted(epoch, np.arange(len(t_ns) + 1)).tolist()
+    out: list[Observation | None] = []
+    for t, i, j in zip(t_ns.tolist(), bounds, bounds[1:], strict=False):
+        part = {k: v[i:j] for k, v in aux.items()}
+        out.append(Observation(sensor, t, tuple(keys[i:j]), y[i:j], None, part) if j > i else None)
+    return out

@@ -1,0 +1,251 @@
+"""Signals and precise products -> the epochs that precise point positioning takes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pntegrity.errors import InputError
+from pntegrity.kernels import slips
+from pntegrity.physics._assembly import Bands, Extra, GnssEpochs, assemble, bands
+from pntegrity.physics._choice import Chosen, check_systems, choose, systems_left_out, window
+from pntegrity.physics.arcs import SlipLimits, arcs_of, clock_resets_m
+from pntegrity.physics.corrections import Antennas, Site, corrections_m, sky_of
+from pntegrity.physics.orbits import SatelliteStates
+from pntegrity.physics.precise import NO_CLOCK, NO_ORBIT, clock_pieces, precise_states
+from pntegrity.physics.products import (
+    CodeBiases,
+    OceanLoading,
+    PolarMotion,
+    PreciseClocks,
+    PreciseOrbits,
+    ReceiverAntenna,
+)
+from pntegrity.physics.signals import CLOCK_SIGNALS, SPEED_OF_LIGHT_MPS, WORDS
+from pntegrity.physics.tables import SignalTable
+from pntegrity.physics.time import SECOND_NS, to_iso
+from pntegrity.records import Epoch, FloatArray
+
+__all__ = ["Products", "SiteFacts", "precise_epochs"]
+
+TRACK_NS = 60 * SECOND_NS
+"""Positions along the way are made this far apart."""
+Locate = Callable[[Sequence[Epoch]], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Orbits and clocks, and what else is known of the satellites."""
+
+    orbits: PreciseOrbits
+    clocks: PreciseClocks
+    biases: CodeBiases | None = None
+    antennas: Antennas | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class SiteFacts:
+    """What is known of the receiver's antenna and its marker; see `corrections.Site`."""
+
+    antenna: ReceiverAntenna | None = None
+    ocean: OceanLoading | None = None
+    pole: PolarMotion | None = None
+    tides: bool = True
+    limits: SlipLimits = field(default_factory=SlipLimits)
+
+
+def precise_epochs(
+    table: SignalTable,
+    products: Products,
+    locate: Locate,
+    *,
+    systems: str = "GREC",
+    signals: Mapping[str, tuple[str, ...]] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+    site: SiteFacts | None = None,
+    channels: Mapping[str, int] | None = None,
+) -> GnssEpochs:
+    """Return the epochs of a signal table with precise satellite positions, clocks and corrections.
+
+    Parameters
+    ----------
+    table : SignalTable
+    products : Products
+    locate : callable
+        Takes epochs and returns where the receiver was, good to a kilometre, (n, 3), nan where unknown.
+    systems, signals, start_ns, end_ns
+        As for `gnss_epochs`; `PRECISE_PAIRS` are preferred.
+    site : SiteFacts, optional
+    channels : mapping of str to int, optional
+        GLONASS channels that the file does not give.
+
+    Returns
+    -------
+    GnssEpochs
+        As `gnss_epochs` gives with ``ionosphere_free``. `aux` has also ``model_m`` (to be added to
+        predictions: antennas, tides, wind-up, path delay, code biases); of ``"carrier"``: ``arc`` and
+        ``arc_reason``.
+
+    Raises
+    ------
+    InputError
+        No time tag in the interval, none of the systems in the file, no satellite with orbit and clock.
+    """
+    check_systems(systems)
+    site = site or SiteFacts()
+    t_ns, rows = window(table, systems, start_ns, end_ns)
+    chosen = choose(table, rows, signals or {}, pair=True, precise=True)
+    states = _states(table, products, chosen)
+    reasons = np.where(chosen.reason == "", states.reason, chosen.reason)
+    _check_any(table, products, states, reasons)
+    channels = {**(channels or {}), **table.glonass_channels}
+    rough, _ = assemble(table, channels, *_thinned(t_ns, table, chosen, states, reasons))
+    track = _track(t_ns, rough, locate)
+    extra, notes = _extra(table, channels, products, site, chosen, states, t_ns, track)
+    epochs, counted = assemble(table, channels, t_ns, chosen, states, reasons, extra)
+    return GnssEpochs(epochs, (*systems_left_out(table, systems), *products.notes, *notes, *counted), None)
+
+
+def _states(table: SignalTable, products: Products, chosen: Chosen) -> SatelliteStates:
+    usable = np.where(chosen.reason == "", table.pseudorange_m[chosen.first], np.nan)
+    t_ns = table.t_ns[chosen.epoch]
+    return precise_states(products.orbits, products.clocks, chosen.sat, t_ns, usable)
+
+
+def _check_any(
+    table: SignalTable, products: Products, states: SatelliteStates, reasons: npt.NDArray[np.object_]
+) -> None:
+    if states.ok.any():
+        return
+    if {NO_ORBIT, NO_CLOCK} & set(reasons.tolist()):
+        first, last = products.orbits.coverage_ns
+        raise InputError(
+            f"no satellite has both a precise orbit and a clock from {to_iso(int(table.t_ns[0]))} to "
+            f"{to_iso(int(table.t_ns[-1]))}; the orbits cover {to_iso(first)} to {to_iso(last)}",
+            path=table.source,
+            hint="Give the SP3 (and CLK) files of the same days",
+        )
+    why = ", ".join(f"{r} ({n})" for r, n in Counter(reasons.tolist()).most_common(3))
+    raise InputError(
+        f"no satellite can be used: {why}",
+        path=table.source,
+        hint="Precise positioning needs code and carrier on two frequencies",
+    )
+
+
+# --- where the receiver was ---------------------------------------------------------------------------------
+
+
+def _thinned(
+    t_ns: npt.NDArray[np.int64], table: SignalTable, chosen: Chosen, states: SatelliteStates,
+    reasons: npt.NDArray[np.object_],
+) -> tuple[npt.NDArray[np.int64], Chosen, SatelliteStates, npt.NDArray[np.object_]]:  # fmt: skip
+    """Return the rows with all but one epoch a minute hidden."""
+    kept = np.zeros(len(table.t_ns), dtype=bool)
+    last = -TRACK_NS
+    first = int(np.searchsorted(table.t_ns, t_ns[0]))
+    for i, t in enumerate(t_ns.tolist(), first):
+        if t - last >= TRACK_NS or i == first + len(t_ns) - 1:
+            kept[i], last = True, t
+    shown = states.ok & kept[chosen.epoch]
+    hidden = SatelliteStates(
+        states.position_m, states.velocity_mps, states.clock_m, states.clock_rate_mps, states.variance_m2,
+        shown, states.reason,
+    )  # fmt: skip
+    return t_ns, chosen, hidden, reasons
+
+
+def _track(t_ns: npt.NDArray[np.int64], rough: Sequence[Epoch], locate: Locate) -> FloatArray:
+    """Return a position for each time tag, between and around those that could be located."""
+    seen = np.array([bool(e.observations) for e in rough])
+    positions = np.full((len(rough), 3), np.nan)
+    positions[seen] = locate([e for e, s in zip(rough, seen, strict=True) if s])
+    known = np.isfinite(positions).all(axis=1)
+    if not known.any():
+        raise InputError(
+            "no position could be made from code anywhere in the interval",
+            hint="At least 5 satellites with code on two frequencies are needed at some epoch",
+        )
+    return np.stack([np.interp(t_ns, t_ns[known], positions[known, i]) for i in range(3)], axis=1)
+
+
+# --- corrections and arcs -----------------------------------------------------------------------------------
+
+
+def _extra(
+    table: SignalTable, channels: Mapping[str, int], products: Products, facts: SiteFacts, chosen: Chosen,
+    states: SatelliteStates, t_ns: npt.NDArray[np.int64], track_m: FloatArray,
+) -> tuple[Extra, list[str]]:  # fmt: skip
+    everything = np.arange(len(chosen))
+    band = bands(table, channels, chosen, everything)
+    order = np.lexsort((chosen.epoch, chosen.sat))
+    order = order[states.ok[order]]
+    shift, resets = clock_resets_m(table, chosen, band, order)
+    piece = clock_pieces(products.clocks, chosen.sat, table.t_ns[chosen.epoch])
+    arcs = arcs_of(table, chosen, band, order, piece, shift, facts.limits)
+    code, carrier, notes = _models(table, products, facts, chosen, states, t_ns, track_m, band, order)
+    if resets:
+        notes.append(f"{resets} jumps of the receiver clock in code only: carriers moved along")
+    return Extra(code, carrier, arcs.number, arcs.reason, shift), notes + _slips_in_words(arcs.reason)
+
+
+def _slips_in_words(reason: npt.NDArray[np.int64]) -> list[str]:
+    counts = np.bincount(reason, minlength=len(slips.WORDS) + 1)
+    found = ", ".join(f"{word} {counts[code]}" for code, word in slips.WORDS.items() if counts[code])
+    return [f"carrier arcs begin: {found}"] if found else []
+
+
+def _models(
+    table: SignalTable, products: Products, facts: SiteFacts, chosen: Chosen, states: SatelliteStates,
+    t_ns: npt.NDArray[np.int64], track_m: FloatArray, band: Bands, order: npt.NDArray[np.intp],
+) -> tuple[FloatArray, FloatArray, list[str]]:  # fmt: skip
+    """Return what is to be added to predicted code and carrier, combined, and notes."""
+    site = Site(track_m, table.antenna_delta_hen_m, facts.antenna, facts.ocean, facts.pole, facts.tides)
+    first = int(np.searchsorted(table.t_ns, t_ns[0]))
+    sky = sky_of(t_ns, chosen.epoch[order] - first, chosen.sat[order], states.position_m[order], site)
+    both = []
+    notes: list[str] = []
+    for rows, wave in zip((chosen.first, chosen.second), band.wavelengths_m, strict=True):
+        names = table.signal[rows[order]].astype("<U1")
+        part = corrections_m(sky, names, wave[order], site, products.antennas)
+        both.append(part)
+        notes += part.notes
+    code, carrier = np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
+    inner = Bands(band.freq_hz[order], band.freq2_hz[order])
+    code[order] = inner.combine(both[0].code_m, both[1].code_m)
+    carrier[order] = inner.combine(both[0].carrier_m, both[1].carrier_m)
+    code[order] += inner.combine(*_biases(table, products.biases, chosen, order, notes))
+    return code, carrier, list(dict.fromkeys(notes))
+
+
+def _biases(
+    table: SignalTable,
+    biases: CodeBiases | None,
+    chosen: Chosen,
+    order: npt.NDArray[np.intp],
+    notes: list[str],
+) -> tuple[FloatArray, FloatArray]:
+    """Return by how much the two codes are longer than those that the clocks refer to, m."""
+    out = []
+    unknown: Counter[str] = Counter()
+    for slot, rows in enumerate((chosen.first, chosen.second)):
+        names = np.char.add(chosen.sat[order], table.signal[rows[order]])
+        kinds, inverse = np.unique(names, return_inverse=True)
+        values = np.zeros(len(kinds))
+        for i, kind in enumerate(kinds.tolist()):
+            reference = CLOCK_SIGNALS[kind[0]][slot]
+            found = 0.0 if reference == kind[3:] else None
+            if found is None and biases is not None:
+                found = biases.difference_s(kind[:3], kind[3:], reference)
+            if found is None and kind[3:4] == reference[0]:
+                unknown[f"{WORDS[kind[0]]} C{kind[3:]} against C{reference}"] += 1
+            values[i] = (found or 0.0) * SPEED_OF_LIGHT_MPS
+        out.append(values[inverse])
+    notes += [f"no code bias of {what} ({n} satellites): taken as 0" for what, n in unknown.items()]
+    return out[0], out[1]
