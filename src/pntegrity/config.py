@@ -107,11 +107,11 @@ class RunConfig(BaseModel):
         for name in self.monitor:
             if name not in discover():
                 raise ValueError(f"[monitor.{name}]: no monitor is called {name!r}")
-        if not self.nav and not self.sp3:
-            raise ValueError("give navigation files (--nav), or precise orbits (--sp3)")
         given = [name for name in ("clk", "bias", "antex", "blq", "erp") if getattr(self, name)]
         if given and not self.sp3:
             raise ValueError(f"`{given[0]}` goes with precise orbits: give them with --sp3")
+        if not self.nav and not self.sp3:
+            raise ValueError("give navigation files (--nav), or precise orbits (--sp3)")
         self.noise_model()
         self.build_monitors()
         return self
@@ -123,8 +123,11 @@ class RunConfig(BaseModel):
     def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
         """Return the monitors, each with its calibrated threshold factor and its own options."""
         model = noise or self.noise_model()
+        usual = discover_estimators()[self.estimator].monitoring
         return tuple(
-            make_monitor(n, p_fa or self.p_fa, self.variant, model, self.monitor.get(n, {}))
+            make_monitor(
+                n, p_fa or self.p_fa, self.variant, model, usual.get(n, {}) | self.monitor.get(n, {})
+            )
             for n in self.monitors
         )
 

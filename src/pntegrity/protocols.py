@@ -15,7 +15,9 @@ __all__ = ["Estimator", "Monitor"]
 class Estimator(Protocol):
     """A filter or a snapshot solver. All steps are pure: same arguments, same result, nothing kept.
 
-    An estimator that a run can choose by name also has ``default_noise``, the noise model it starts from.
+    An estimator that a run can choose by name also says what suits it: ``default_noise``, the noise model it
+    starts from; ``max_gap_s``, after which it starts anew; ``monitoring``, options of monitors by their
+    names; ``policy``, fields of the exclusion policy.
     """
 
     def predict(self, state: State, epoch: Epoch) -> Prior:

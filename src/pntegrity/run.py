@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -13,17 +13,18 @@ from threadpoolctl import threadpool_limits
 from pntegrity.config import RunConfig
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover
-from pntegrity.estimators._gnss import GnssOptions, track
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.exclusion import Policy
-from pntegrity.formats.products import ProductFiles, read_products
+from pntegrity.formats.products import ProductFiles
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import SignalTable, read_observations
 from pntegrity.formats.truth import read_truth
+from pntegrity.logs import precise_log
 from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
-from pntegrity.physics.precise_epochs import precise_epochs
 from pntegrity.physics.time import from_iso, to_iso
 from pntegrity.pipeline import Outcome, Pipeline
 from pntegrity.records import Epoch, FloatArray, group_of
+from pntegrity.report.blind_spots import blind_spots
 from pntegrity.report.facts import RunFacts
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import Fault, apply_faults, describe, parse_fault, touches_any
@@ -32,6 +33,11 @@ __all__ = ["RunResult", "load_epochs", "run"]
 
 #: Epochs after which an update is no longer in any window, and its gains are let go of.
 KEPT = 1000
+#: What it means where a precise estimator gets no precise products.
+BROADCAST_NOTES = (
+    "broadcast ephemerides instead of precise orbits (--sp3): positions are off by 1 to 3 m, and jump with "
+    "every new message; no tides, antennas and wind-up, and carriers are not searched for cycle slips",
+)
 Progress = Callable[[str, int, int], None]
 
 
@@ -64,28 +70,23 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
 
 
 def _broadcast(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
-    nav = read_navigation(config.nav)
-    return gnss_epochs(
+    precise = config.estimator == "ppp"  # it has no model of the ionosphere
+    found = gnss_epochs(
         table,
-        nav,
+        read_navigation(config.nav),
         systems=config.systems,
-        ionosphere_free=config.ionosphere_free,
+        ionosphere_free=config.ionosphere_free or precise,
         start_ns=span[0],
         end_ns=span[1],
     )
+    return replace(found, notes=(*BROADCAST_NOTES, *found.notes)) if precise else found
 
 
 def _precise(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
     files = ProductFiles(
-        config.sp3, config.clk, config.bias, config.antex, config.blq, config.erp, config.station
+        config.sp3, config.clk, config.bias, config.antex, config.blq, config.erp, config.station, config.nav
     )
-    products, site = read_products(files, table)
-    channels = read_navigation(config.nav).glonass_channels if config.nav else {}
-    options = GnssOptions(noise=config.noise_model())
-    return precise_epochs(
-        table, products, lambda epochs: track(epochs, options), systems=config.systems, site=site,
-        channels=channels, start_ns=span[0], end_ns=span[1],
-    )  # fmt: skip
+    return precise_log(table, files, config.systems, span, config.noise_model())
 
 
 def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[Epoch]:
@@ -163,7 +164,8 @@ def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None 
 def pipeline_for(config: RunConfig, loaded: GnssEpochs) -> Pipeline:
     """Return the pipeline of a configuration."""
     estimator = discover()[config.estimator](options_for(config, loaded))
-    return Pipeline(estimator, config.build_monitors(), Policy(exclude=config.exclude, p_fa=config.p_fa))
+    policy = Policy(exclude=config.exclude, p_fa=config.p_fa, **estimator.policy)
+    return Pipeline(estimator, config.build_monitors(), policy)
 
 
 def _loop(
@@ -193,7 +195,7 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
         estimator=config.estimator,
         config=config.model_dump(mode="json"),
         noise_name=noise.name,
-        blind_spots=blind_spots(config.estimator, noise),
+        blind_spots=blind_spots(config.estimator, noise, config.motion, config.build_monitors()),
         truth_m=_truth(config, [o.t_ns for o in outcomes]),
         notes=loaded.notes,
         faults=tuple(describe(parse_fault(f)) for f in config.faults),
@@ -209,30 +211,3 @@ def _truth(config: RunConfig, t_ns: list[int]) -> FloatArray | None:
         return None
     position, valid = read_truth(config.truth).at(np.array(t_ns, dtype=np.int64))
     return np.where(valid[:, None], position, np.nan)
-
-
-def blind_spots(estimator: str, noise: NoiseModel) -> tuple[str, ...]:
-    """Say what the noise model and the estimator hide from every monitor, with figures."""
-    if estimator == "spp":
-        return (
-            "Every epoch stands alone: a fault is seen only by its contradiction to the other satellites of "
-            "that epoch.",
-        )
-    spots = []
-    if noise.code_bias_m > 0.0:
-        rate = noise.code_bias_m * np.sqrt(2.0 / noise.code_bias_tau_s)
-        spots.append(
-            "A code error that was there when a satellite rose is taken for its bias (sigma "
-            f"{noise.code_bias_m:g} m): up to"
-            f" about {3.0 * noise.code_bias_m:.0f} m goes unseen. Slow growth is followed by the bias state, "
-            "which may walk"
-            f" {rate:.2f} m in 1 s and {rate * np.sqrt(60.0):.2f} m in 60 s."
-        )
-    if noise.code_multipath_m > 0.0:
-        spots.append(
-            f"Multipath is expected ({noise.code_multipath_m:g} m / sin(elevation) over "
-            f"{noise.code_multipath_tau_s:g} s):"
-            " errors of that size and duration are not faults."
-        )
-    spots.append("An error that all satellites share is the receiver's clock, for every monitor.")
-    return tuple(spots)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pntegrity.kernels.extrapolation import innovation_maps, state_maps
-from pntegrity.kernels.windows import Form, exact_form, inverse_root, respond
+from pntegrity.kernels.windows import Form, inverse_root, pivoted_root, respond
+from pntegrity.monitors._carried import LazyMaps, Rows, States
+from pntegrity.monitors.aime import Aime
 from pntegrity.records import Update
 from pntegrity.simulate.linear import draw, gains, spp_model
 
@@ -27,24 +28,35 @@ def extrapolated(window: tuple[Update, ...]) -> list[np.ndarray]:
     return out
 
 
-def test_innovation_maps_are_the_weighted_innovations_against_the_propagated_state() -> None:
+def test_aime_sums_the_weighted_innovations_against_the_propagated_state() -> None:
     window = drawn()[5:10]
-    maps, believed = innovation_maps(window)
+    passage, weights, _ = Rows().course(window)
     coasting = np.zeros((8, 8))
-    total, weights = np.zeros(12), np.zeros((12, 12))
+    total, believed = np.zeros(12), np.zeros((12, 12))
     for i, (u, e) in enumerate(zip(window, extrapolated(window), strict=True)):
         if i:
             coasting = u.F @ (coasting + window[i - 1].absorbed) @ u.F.T
         weight = np.linalg.inv(u.S + u.H @ coasting @ u.H.T)
-        total, weights = total + weight @ e, weights + weight
-    np.testing.assert_allclose(sum(M @ u.white for M, u in zip(maps, window, strict=True)), total, rtol=1e-9)
-    np.testing.assert_allclose(believed, weights, rtol=1e-9)
+        np.testing.assert_allclose(weights[i], weight, rtol=1e-9, atol=1e-12)
+        total, believed = total + weight @ e, believed + weight
+    np.testing.assert_allclose(passage.eta, total, rtol=1e-9)
+    np.testing.assert_allclose(passage.weight, believed, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("view", [Rows(), States("pos"), States("pos+clk"), States("")], ids=str)
+def test_the_maps_give_the_same_vector_and_covariance_as_the_passage(view: Rows | States) -> None:
+    window = drawn()[5:10]
+    passage = view.course(window)[0]
+    maps = LazyMaps(view, window)
+    total = sum(M @ u.white for M, u in zip(maps, window, strict=True))
+    np.testing.assert_allclose(total, passage.eta, rtol=1e-9, atol=1e-9 * np.abs(passage.eta).max())
+    cov = sum(M @ M.T for M in maps)
+    np.testing.assert_allclose(cov, passage.cov, rtol=1e-8, atol=1e-10 * np.abs(passage.cov).max())
 
 
 def test_covariance_of_a_window_is_that_of_many_runs() -> None:
     window = UPDATES[5:10]
-    maps, _ = state_maps(window, [np.arange(3)] * 5)
-    form = Form(maps, np.eye(3), 3)
+    form = Form(LazyMaps(States("pos"), window), np.eye(3), 3)
     white = np.random.default_rng(1).standard_normal((5, 12, 100_000))
     y = form.project(list(white))
     np.testing.assert_allclose(
@@ -56,14 +68,30 @@ def test_covariance_of_a_window_is_that_of_many_runs() -> None:
 
 def test_the_exact_form_has_unit_covariance_and_is_the_mahalanobis_distance() -> None:
     window = drawn()[5:10]
-    maps, _ = innovation_maps(window)
-    form = exact_form(maps)
+    form = Aime().form(window)
+    assert form is not None
     np.testing.assert_allclose(form.covariance(), np.eye(12), atol=1e-9)
-    y = sum(M @ u.white for M, u in zip(maps, window, strict=True))
-    cov = sum(M @ M.T for M in maps)
+    y = sum(M @ u.white for M, u in zip(form.maps, window, strict=True))
+    cov = sum(M @ M.T for M in form.maps)
     white = [u.white for u in window]
     assert float(form.statistic(white)) == pytest.approx(float(y @ np.linalg.solve(cov, y)), rel=1e-9)
     np.testing.assert_allclose(form.stacked() @ np.concatenate(white), form.project(white), rtol=1e-12)
+
+
+@pytest.mark.parametrize("rank", [1, 3, 5])
+def test_a_pivoted_root_is_the_pseudo_inverse_on_what_the_covariance_allows(rank: int) -> None:
+    A = np.random.default_rng(7).standard_normal((5, rank)) * np.array([[1.0], [1e4], [1e-3], [1.0], [1.0]])
+    y = A @ np.random.default_rng(8).standard_normal(rank)
+    root = pivoted_root(A @ A.T)
+    assert root.shape == (rank, 5)
+    np.testing.assert_allclose(root @ A @ A.T @ root.T, np.eye(rank), atol=1e-7)
+    whitened = np.linalg.lstsq(A, y, rcond=1e-12)[0]
+    assert float((root @ y) @ (root @ y)) == pytest.approx(float(whitened @ whitened), rel=1e-6)
+
+
+def test_a_pivoted_root_of_no_variance_is_empty() -> None:
+    assert pivoted_root(np.zeros((4, 4))).shape == (0, 4)
+    assert pivoted_root(np.zeros((0, 0))).shape == (0, 0)
 
 
 def test_inverse_root_drops_what_has_no_variance() -> None:

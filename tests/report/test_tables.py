@@ -5,7 +5,7 @@ import pytest
 from simulated import START_NS, TRUTH
 
 from pntegrity.report.facts import RunFacts
-from pntegrity.report.tables import exclusions, rotations, solution, suspect_text, verdicts
+from pntegrity.report.tables import exclusions, solution, suspect_text, verdicts
 
 
 def test_every_epoch_appears_once_in_the_solution(faulty, facts):
@@ -49,12 +49,6 @@ def test_truth_may_be_shorter_than_the_run_and_have_holes(faulty, facts):
     assert error[50:].null_count() == len(faulty) - 50
 
 
-def test_rotations_are_orthonormal_and_up_points_away_from_the_earth():
-    turn = rotations(np.array([[0.3, -2.0, 100.0], [-1.2, 0.4, 0.0]]))
-    assert turn @ turn.transpose(0, 2, 1) == pytest.approx(np.tile(np.eye(3), (2, 1, 1)))
-    assert np.all(turn[:, 2, 2] * np.sign([0.3, -1.2]) > 0.0)
-
-
 def test_verdicts_have_one_final_row_an_epoch_and_monitor(faulty):
     table = verdicts(faulty)
     final = table.filter(table["final"])
@@ -89,6 +83,7 @@ def test_suspects_in_words(unresolved):
     assert text.startswith("+".join(suspect.groups))
     assert "/s since 06:15:" in text
     assert "explains" in text
+    assert "ramp 0.00067/s since" in suspect_text(replace(suspect, size=0.02 / 30.0))
 
 
 def test_an_empty_run_has_empty_tables():

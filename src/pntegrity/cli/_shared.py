@@ -105,7 +105,8 @@ def build_config(values: dict[str, Any]) -> RunConfig:
     if "truth_ecef" in given:
         given["truth_ecef_m"] = _triple(given.pop("truth_ecef"))
     merged |= given
-    for name in ("obs",) if merged.get("sp3") else ("obs", "nav"):
+    precise = any(merged.get(name) for name in ("sp3", "clk", "bias", "antex", "blq", "erp"))
+    for name in ("obs",) if precise else ("obs", "nav"):
         if not merged.get(name):
             raise InputError(
                 f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config"

@@ -23,6 +23,7 @@ def command(out: Path, split: float, **values: Any) -> int:
     from rich.console import Console
 
     from pntegrity.config import write_noise
+    from pntegrity.estimators import discover
     from pntegrity.evaluate.calibrate import calibrate
     from pntegrity.evaluate.calibration_table import calibration_facts, calibration_table
     from pntegrity.formats.atomic import write_text
@@ -33,6 +34,7 @@ def command(out: Path, split: float, **values: Any) -> int:
     with progress_bar() as progress:
         result = calibrate(
             loaded.epochs, options_for(config, loaded), lambda p, noise: config.build_monitors(p, noise),
+            estimator=discover()[config.estimator],
             split=split,
             p_fa=config.p_fa, progress=lambda what, done: progress(what, int(100 * done), 100),
         )  # fmt: skip

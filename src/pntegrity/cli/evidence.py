@@ -6,7 +6,10 @@ from pathlib import Path
 
 import click
 
-NAMES = ("spp8", "clean", "delays", "faults", "receivers", "speed", "sraime-spp")
+NAMES = (
+    "spp8", "clean", "delays", "faults", "receivers", "speed", "ppp", "ppp-clean", "ppp-drive", "ppp-van",
+    "ppp-ramps", "ppp-faults", "ppp-speed", "sraime-spp", "sraime-ppp",
+)  # fmt: skip
 
 
 @click.command("evidence", help="Measure the figures of docs/results.md again.")

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 
 @click.command("reproduce", help="Run a published experiment and show its figures beside the published ones.")
-@click.argument("experiment", type=click.Choice(["sraime-spp"]))
+@click.argument("experiment", type=click.Choice(["sraime-spp", "sraime-ppp"]))
 @click.option(
     "--json", "as_json", is_flag=True, help='Print {"rows": [{"quantity", "published", "measured", "ok"}]}.'
 )
 @click.option("--seeds", type=click.IntRange(1), default=20, show_default=True, help="Noise realisations.")
-def command(experiment: str, as_json: bool, seeds: int) -> int:
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    help="Folder of the real logs: sraime-ppp then drives the real track under the real orbits.",
+)
+def command(experiment: str, as_json: bool, seeds: int, data: Path | None) -> int:
     """Reproduce an experiment."""
-    from pntegrity.scenarios.reproduce_sraime_spp import reproduce
+    from threadpoolctl import threadpool_limits
 
-    result = reproduce(seeds=seeds)
+    from pntegrity.scenarios import reproduce_sraime_ppp, reproduce_sraime_spp
+
+    with threadpool_limits(1, user_api="blas"):
+        if experiment == "sraime-ppp":
+            result = reproduce_sraime_ppp.reproduce(seeds, data=data)
+        else:
+            result = reproduce_sraime_spp.reproduce(seeds)
     if as_json:
         click.echo(result.to_json())
         return 0

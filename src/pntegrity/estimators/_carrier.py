@@ -13,8 +13,13 @@ from pntegrity.estimators._layout import IndexArray
 from pntegrity.physics.atmosphere import mapping_factors, zenith_delays_m
 from pntegrity.records import Epoch, FloatArray, Observation, group_of
 from pntegrity.sensors.gnss import geometry
+from pntegrity.sensors.noise import LAST_BDS2
 
 __all__ = ["Names", "PreciseRows", "precise_rows"]
+
+
+CLOCKS = ("G", "E", "R", "C", "C2", "J", "I", "S")
+"""Constellations with a clock of their own, in the order in which they are taken for reference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,19 +34,29 @@ class Names:
     groups: tuple[str, ...]
     isb: tuple[str, ...]
     bias: tuple[str, ...]
+    satellite_clock: tuple[str, ...]
     system: npt.NDArray[np.intp]
     carrier: npt.NDArray[np.bool_]
     glonass: npt.NDArray[np.bool_]
 
 
+def clock_of(key: str) -> str:
+    """Return whose clock a row has: its constellation's letter, and ``"C2"`` for BDS-2.
+
+    Receivers hear BDS-2 and BDS-3 metres apart.
+    """
+    return "C2" if key[0] == "C" and key[1:3] <= LAST_BDS2 else key[0]
+
+
 @lru_cache(maxsize=256)
 def names_of(keys: tuple[str, ...], ambiguity: tuple[str, ...]) -> Names:
     """Return what the names of rows say."""
-    letters = [k[0] for k in keys]
+    letters = [clock_of(k) for k in keys]
     return Names(
         keys, ambiguity, tuple(map(group_of, keys)), tuple(f"isb:{s}" for s in letters),
         tuple("" if a else f"bias:{k}" for k, a in zip(keys, ambiguity, strict=True)),
-        np.array([ord(s) for s in letters], dtype=np.intp),
+        tuple(f"svclk:{group_of(k)}" for k in keys),
+        np.array([CLOCKS.index(s) for s in letters], dtype=np.intp),
         np.array([bool(a) for a in ambiguity], dtype=bool),
         np.array([s == "R" for s in letters], dtype=bool),
     )  # fmt: skip
@@ -53,8 +68,9 @@ class PreciseRows:
 
     `predicted` is what the row would read with perfect clocks, no wet delay and no ambiguity. `wet` is the
     wet mapping factor; `north` and `east` are those of its gradients. `sigma_m` is the white noise, `slow`
-    says how much larger than at the zenith slow code errors are. `names.ambiguity` names the state of a
-    carrier's arc and is empty for code.
+    says how much larger than at the zenith slow code errors are, `node_s` (n, 2) how long ago the last sample
+    of the satellite's clock is and how far ahead the next. `names.ambiguity` names the state of a carrier's
+    arc and is empty for code.
     """
 
     names: Names
@@ -66,6 +82,7 @@ class PreciseRows:
     east: FloatArray
     sigma_m: FloatArray
     slow: FloatArray
+    node_s: FloatArray
     el_rad: FloatArray
     az_rad: FloatArray
     cn0_dbhz: FloatArray
@@ -108,11 +125,19 @@ def precise_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> 
         path[both] + np.concatenate([model_m(code), model_m(carrier)[own]]),
         g.los[both], wet[both], (tilt * np.cos(az))[both], (tilt * np.sin(az))[both],
         np.concatenate([
-            noise.code_white_m * scale * noise.code_factor(code.keys), noise.carrier_m * scale[of_code]
+            noise.code_white_m * scale * noise.code_factor(code.keys),
+            noise.carrier_m * scale[of_code] * noise.carrier_factor(code.keys)[of_code],
         ]),
-        (noise.obliquity(el) * noise.bias_factor(code.keys))[both], el[both], az[both], cn0[both],
+        (noise.obliquity(el) * noise.bias_factor(code.keys))[both], _nodes_s(code)[both], el[both], az[both],
+        cn0[both],
     )  # fmt: skip
     return rows.select(rows.el_rad >= options.mask_rad)
+
+
+def _nodes_s(o: Observation) -> FloatArray:
+    """Return the times from and to the samples of satellite clocks, zeros where there are none."""
+    known = o.aux.get("clk_node_s")
+    return np.zeros((len(o.keys), 2)) if known is None else np.asarray(known)
 
 
 @lru_cache(maxsize=64)

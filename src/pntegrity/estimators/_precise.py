@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from pntegrity.estimators._carrier import Names, PreciseRows, names_of
-from pntegrity.estimators._gnss import GnssOptions, system_of
+from pntegrity.estimators._carrier import CLOCKS, Names, PreciseRows, clock_of, names_of
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._layout import IndexArray, columns, survivors
 from pntegrity.estimators._navigation import MOTION, START_POS_M, START_VEL_MPS
 from pntegrity.records import FloatArray, Layout
@@ -19,6 +19,8 @@ __all__ = [
 
 #: Standard deviation of ambiguities and of a position without memory, which the data initialise, m.
 BORN_M = 100.0
+#: Satellite clocks sampled further apart than this have a state each, s.
+OFTEN_S = 60.0
 #: The same of clocks: ten times the error of a median of code, and no more, for the sake of numerics.
 CLOCK_M = 30.0
 
@@ -39,25 +41,28 @@ def layout_of(old: Layout, rows: PreciseRows, options: GnssOptions) -> Layout:
     """
     noise = options.noise
     biased = noise.code_bias_m > 0.0, noise.glonass_code_bias_m > 0.0
-    return _layout(old, options.motion, rows.keys, rows.names.ambiguity, biased, noise.gradient_m > 0.0)
+    drifting = bool(rows.node_s.sum(axis=1).max(initial=0.0) > OFTEN_S) and noise.satellite_clock_m > 0.0
+    kinds = (*biased, noise.gradient_m > 0.0, drifting)
+    return _layout(old, options.motion, rows.keys, rows.names.ambiguity, kinds)
 
 
 @lru_cache(maxsize=512)
 def _layout(
-    old: Layout, motion: str, keys: tuple[str, ...], ambiguity: tuple[str, ...], biased: tuple[bool, bool],
-    gradients: bool,
+    old: Layout, motion: str, keys: tuple[str, ...], ambiguity: tuple[str, ...],
+    kinds: tuple[bool, bool, bool, bool],
 ) -> Layout:  # fmt: skip
+    biased, glonass, gradients, drifting = kinds
     names = names_of(keys, ambiguity)
     code = [k for k, a in zip(keys, ambiguity, strict=True) if not a]
-    seen = sorted({system_of(k) for k in code}, key="GERCJ".find)
+    seen = sorted({clock_of(k) for k in code}, key=CLOCKS.index)
     clock = clock_name(old) if len(old) else f"clk:{seen[0]}"
     isb = [n for n in old.names if n.startswith("isb:")]
     isb += [n for s in seen if (n := f"isb:{s}") not in isb and s != clock[4:]]
     tilt = ["grad:n", "grad:e"] if gradients else []
-    bias = [
-        b for b, g in zip(names.bias, names.glonass, strict=True) if b and (biased[0] or (biased[1] and g))
-    ]
-    return Layout((*motion_names(motion), clock, *isb, "zwd", *tilt, *bias, *(a for a in ambiguity if a)))
+    bias = [b for b, g in zip(names.bias, names.glonass, strict=True) if b and (biased or (glonass and g))]
+    moving = dict.fromkeys(names.satellite_clock) if drifting else ()
+    arcs = (a for a in ambiguity if a)
+    return Layout((*motion_names(motion), clock, *isb, "zwd", *tilt, *bias, *moving, *arcs))
 
 
 def stationary_variance(layout: Layout, rows: PreciseRows, options: GnssOptions) -> FloatArray:
@@ -72,6 +77,8 @@ def stationary_variance(layout: Layout, rows: PreciseRows, options: GnssOptions)
         out[layout.block(block)] = variance
     at = columns(layout, rows.names.bias)
     out[at[at >= 0]] = _bias_variance(rows, noise)[at >= 0]
+    at = columns(layout, rows.names.satellite_clock)
+    out[at[at >= 0]] = satellite_clock_variance(rows, noise)[at >= 0]
     return out
 
 
@@ -102,9 +109,34 @@ def transition(
     walk[born] = lasting[born]
     clock = new.block("clk")
     F[clock], walk[clock] = 0.0, CLOCK_M**2
+    _satellite_clocks(F, walk, new, rows, dt, noise)
     Q = np.diag(walk)
     _motion(F, Q, dt, options)
     return F, Q
+
+
+def satellite_clock_variance(rows: PreciseRows, noise: NoiseModel) -> FloatArray:
+    """Return the variance of clocks that walk between two samples on which they are pinned (a Brownian
+    bridge).
+    """
+    since, until = rows.node_s.T
+    spectral = (noise.satellite_clock_factor(rows.keys) * noise.satellite_clock_m) ** 2
+    return np.asarray(spectral * since * until / np.maximum(since + until, 1e-9))
+
+
+def _satellite_clocks(
+    F: FloatArray, walk: FloatArray, layout: Layout, rows: PreciseRows, dt: float, noise: NoiseModel
+) -> None:
+    """Write the step of the satellites' clocks, which walk between samples and are right at each."""
+    at = columns(layout, rows.names.satellite_clock)
+    if not len(at) or at[0] < 0:
+        return
+    since, until = rows.node_s.T
+    goes_on = (since >= dt) & F[at].any(axis=1)
+    left = until / np.maximum(until + dt, 1e-9)
+    F[at] *= np.where(goes_on, left, 0.0)[:, None]
+    spectral = (noise.satellite_clock_factor(rows.keys) * noise.satellite_clock_m) ** 2
+    walk[at] = np.where(goes_on, spectral * dt * left, satellite_clock_variance(rows, noise))
 
 
 def _walks(noise: NoiseModel) -> tuple[tuple[str, float], ...]:
@@ -143,7 +175,7 @@ def _template(layout: Layout, names: Names) -> FloatArray:
     """Return the part of a Jacobian that geometry does not change: clocks, biases, ambiguities."""
     H = np.zeros((len(names.keys), len(layout)))
     H[:, layout.block("clk")[0]] = 1.0
-    for states in (names.isb, names.bias, names.ambiguity):
+    for states in (names.isb, names.bias, names.satellite_clock, names.ambiguity):
         at: IndexArray = columns(layout, states)
         here = np.flatnonzero(at >= 0)
         H[here, at[here]] = 1.0

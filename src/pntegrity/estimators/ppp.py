@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,13 +16,14 @@ from pntegrity.estimators._precise import (
     clock_name,
     jacobian,
     layout_of,
+    satellite_clock_variance,
     stationary_variance,
     transition,
 )
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.physics.atmosphere import zenith_delays_m
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
-from pntegrity.sensors.noise import PPP, NoiseModel
+from pntegrity.sensors.noise import PPP, Fitted, NoiseModel
 
 #: Code residuals spread wider than this about their median: the position is not where it was, m.
 ASTRAY_M = 25.0
@@ -50,6 +51,24 @@ class Ppp:
 
     default_noise: ClassVar[NoiseModel] = PPP
     max_gap_s: ClassVar[float] = 3600.0
+    monitoring: ClassVar[dict[str, dict[str, Any]]] = {
+        "srctm": {"block": "pos+amb"}, "aime": {"window": 10}, "sraime": {"block": "pos+amb", "window": 10},
+    }  # fmt: skip
+    policy: ClassVar[dict[str, Any]] = {"proof_s": 10.0}
+    settle_s: ClassVar[float] = 3600.0
+    fitted: ClassVar[tuple[Fitted, ...]] = (
+        Fitted("carrier_m", 1e-4, 0.1, 1.5e-3, "white", rows="carrier"),
+        Fitted("ambiguity_m", 1e-6, 0.01, 2e-4, "slow", rows="carrier"),
+        Fitted("code_white_m", 0.02, 30.0, 0.25, "white", rows="code"),
+        Fitted("code_bias_m", 0.02, 20.0, 0.3, "slow", rows="code"),
+        Fitted("code_bias_tau_s", 60.0, 86400.0, 600.0, size="code_bias_m"),
+        Fitted("zwd_walk_m", 1e-6, 1e-3),
+        Fitted("isb_m", 1e-6, 0.1),
+        Fitted("satellite_clock_m", 1e-5, 0.1, rows="carrier"),
+        Fitted("glonass_factor", 1.0, 6.0),
+        Fitted("glonass_carrier_factor", 1.0, 6.0),
+        Fitted("bds2_factor", 1.0, 6.0),
+    )
     options: GnssOptions = field(default_factory=lambda: GnssOptions(noise=PPP, max_gap_s=Ppp.max_gap_s))
 
     def predict(self, state: State, epoch: Epoch) -> Prior:
@@ -90,8 +109,10 @@ class Ppp:
         few = len(set(rows.names.groups) - exclude)
         if few < 4 and self.options.motion == "white":
             none = np.zeros(len(rows), dtype=bool)
-            return _update(prior, rows, none, f"{few} satellites do not determine a position")
-        return _update(prior, rows, used, "" if few else "no satellite above the mask")
+            return _update(
+                prior, rows, none, self.options.noise, f"{few} satellites do not determine a position"
+            )
+        return _update(prior, rows, used, self.options.noise, "" if few else "no satellite above the mask")
 
     def _start(self, old: State, epoch: Epoch, events: tuple[str, ...]) -> Prior:
         guess = old.mean[:3] if len(old) else np.zeros(3)
@@ -190,7 +211,7 @@ def _reborn(prior: Prior, states: np.ndarray, variance: FloatArray, *event: str)
     return replace(prior, state=state, F=F, Q=Q, events=(*prior.events, *event))
 
 
-def _update(prior: Prior, rows: PreciseRows, used: np.ndarray, reason: str) -> Update:
+def _update(prior: Prior, rows: PreciseRows, used: np.ndarray, noise: NoiseModel, reason: str) -> Update:
     """Return the update with the rows `used`; the others become its spare rows."""
     layout = prior.state.layout
     H = jacobian(layout, rows)
@@ -204,7 +225,7 @@ def _update(prior: Prior, rows: PreciseRows, used: np.ndarray, reason: str) -> U
     if len(again):
         prior = _reborn(prior, again, np.full(len(again), BORN_M**2))
     nu = rows.y - rows.predicted - H[:, 3:] @ prior.state.mean[3:]
-    R = np.diag(rows.sigma_m[used] ** 2)
+    R = np.diag(_white_variance(layout, rows, noise)[used])
     aux = {name: getattr(rows, name)[used] for name in ("el_rad", "az_rad", "cn0_dbhz")}
     keys = rows.keys if used.all() else tuple(k for k, u in zip(rows.keys, used, strict=True) if u)
     update = Update.of(prior, keys, nu[used], H[used], R, aux=aux, reason=reason)
@@ -217,7 +238,14 @@ def _update(prior: Prior, rows: PreciseRows, used: np.ndarray, reason: str) -> U
     H_out[:, arcs] = 0.0  # what the arc was born with is known: its carrier shows what came after
     nu_out[born] -= after[born]
     left = tuple(k for k, u in zip(rows.keys, used, strict=True) if not u)
-    return update.with_spares(left, nu_out, H_out, rows.sigma_m[~used] ** 2)
+    return update.with_spares(left, nu_out, H_out, _white_variance(layout, rows, noise)[~used])
+
+
+def _white_variance(layout: Layout, rows: PreciseRows, noise: NoiseModel) -> FloatArray:
+    """Return the variance of the rows' white noise; that of satellite clocks where these have no states."""
+    if len(layout.block("svclk")):
+        return np.asarray(rows.sigma_m**2)
+    return np.asarray(rows.sigma_m**2 + satellite_clock_variance(rows, noise))
 
 
 def _with_means(update: Update, states: np.ndarray, shift: FloatArray) -> Update:

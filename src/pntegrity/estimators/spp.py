@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pntegrity.estimators._gnss import GnssOptions, Rows, rate_rows
 from pntegrity.estimators._navigation import fix_prior, linear_update
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update
-from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.noise import Fitted, NoiseModel
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,16 @@ class Spp:
 
     default_noise: ClassVar[NoiseModel] = NoiseModel()
     max_gap_s: ClassVar[float] = 120.0
+    monitoring: ClassVar[dict[str, dict[str, Any]]] = {}
+    policy: ClassVar[dict[str, Any]] = {}
+    settle_s: ClassVar[float] = 0.0
+    fitted: ClassVar[tuple[Fitted, ...]] = (
+        Fitted("code_white_m", 0.005, 30.0, 0.3, "white"),
+        Fitted("code_bias_m", 0.01, 20.0, 1.0, "slow"),
+        Fitted("doppler_mps", 1e-3, 5.0, 0.03),
+        Fitted("glonass_factor", 1.0, 6.0),
+        Fitted("bds2_factor", 1.0, 6.0),
+    )
     options: GnssOptions = field(default_factory=GnssOptions)
 
     def predict(self, state: State, epoch: Epoch) -> Prior:

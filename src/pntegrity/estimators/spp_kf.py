@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
 from pntegrity.sensors.gnss import C_MPS
-from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.noise import Fitted, NoiseModel
 
 #: A common shift of the code residuals above this is a jump of the receiver clock, m.
 CLOCK_JUMP_M = 300.0
@@ -40,6 +40,22 @@ class SppKf:
 
     default_noise: ClassVar[NoiseModel] = NoiseModel()
     max_gap_s: ClassVar[float] = 120.0
+    monitoring: ClassVar[dict[str, dict[str, Any]]] = {}
+    policy: ClassVar[dict[str, Any]] = {}
+    settle_s: ClassVar[float] = 30.0
+    fitted: ClassVar[tuple[Fitted, ...]] = (  # starts: a geodetic receiver
+        Fitted("doppler_mps", 1e-3, 5.0, 0.01),
+        Fitted("code_multipath_m", 0.01, 30.0, 0.08, "slow"),
+        Fitted("code_white_m", 0.005, 30.0, 0.02, "white"),
+        Fitted("code_multipath_tau_s", 1.5, 300.0, 4.0, size="code_multipath_m"),
+        Fitted("code_smoothing_tau_s", 0.1, 1.0, 0.4),
+        Fitted("accel_mps2", 1e-3, 10.0),
+        Fitted("clock_drift_mps", 1e-4, 10.0),
+        Fitted("clock_m", 1e-4, 10.0),
+        Fitted("code_bias_m", 0.3, 20.0, 1.0, "slow"),
+        Fitted("glonass_factor", 1.0, 6.0),
+        Fitted("bds2_factor", 1.0, 6.0),
+    )
     options: GnssOptions = field(default_factory=GnssOptions)
 
     def predict(self, state: State, epoch: Epoch) -> Prior:

@@ -34,11 +34,11 @@ def calibration_table(result: Calibration) -> Group:
         value = getattr(result.noise, name)
         if isinstance(value, float):
             fitted.add_row(name, f"{value:.4g}")
-    white = Table(
-        "code innovations", "lag 1 s", "lag 5 s", "lag 30 s", "mean square", box=None, pad_edge=False
-    )
-    for model, numbers in result.whiteness.items():
-        white.add_row(model, *(_cell(c) for c in _level_row(numbers)))
+    lags = (f"lag {lag:g} s" for lag in _lags_s(result))
+    white = Table("innovations", "model", *lags, "mean square", box=None, pad_edge=False)
+    for kind in _kinds(result):
+        for model, numbers in result.whiteness.items():
+            white.add_row(kind, model, *(_cell(c) for c in _row(numbers[kind])))
     alarms = Table(
         "monitor", "threshold factor", *(f"alarms at {p}" for p in _levels(result)), box=None, pad_edge=False
     )
@@ -47,9 +47,17 @@ def calibration_table(result: Calibration) -> Group:
     return Group(fitted, "", white, "", alarms)
 
 
-def _level_row(numbers: dict[str, Any]) -> list[float | None]:
-    level = numbers["level"]
-    return [*level["autocorrelation"], level["mean_square"]]
+def _lags_s(result: Calibration) -> list[float]:
+    return list(next(iter(result.whiteness.values()))["lags_s"])
+
+
+def _kinds(result: Calibration) -> list[str]:
+    """Return the kinds of level rows that there are innovations of."""
+    return [k for k in ("code", "carrier") if any(w[k]["count"] for w in result.whiteness.values())]
+
+
+def _row(numbers: dict[str, Any]) -> list[float | None]:
+    return [*numbers["autocorrelation"], numbers["mean_square"]]
 
 
 def _levels(result: Calibration) -> list[str]:

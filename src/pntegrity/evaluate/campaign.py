@@ -15,9 +15,9 @@ import numpy as np
 
 from pntegrity.kernels.windows import respond
 from pntegrity.protocols import Monitor
-from pntegrity.records import Update, group_of
+from pntegrity.records import FloatArray, Update, group_of
 
-__all__ = ["Trial", "faulted", "trials"]
+__all__ = ["Trial", "carried", "faulted", "trials"]
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,20 @@ def faulted(updates: Sequence[Update], key: str, kind: str, size: float) -> Iter
     size : float
         Units of the row, or units per second.
     """
+    for u, _ in carried(updates, key, kind, size):
+        yield u
+
+
+def carried(
+    updates: Sequence[Update], key: str, kind: str, size: float
+) -> Iterator[tuple[Update, FloatArray]]:
+    """Yield what `faulted` yields, and the error of the state that the fault has made, shape (n,)."""
     e = np.zeros((updates[0].F.shape[1], 1))
     for u in updates:
         tau = (u.t_ns - updates[0].t_ns) * 1e-9
         f = np.array([[size * (tau if kind == "ramp" else 1.0) * (k == key)] for k in u.keys])
         g, e = respond(e, u.F, u.H, u.K, f)
-        yield u.altered(nu=u.nu + g[:, 0])
+        yield u.altered(nu=u.nu + g[:, 0]), e[:, 0]
 
 
 def trials(

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pntegrity.formats.antex import read_antex
 from pntegrity.formats.bias import read_biases
 from pntegrity.formats.blq import read_blq
@@ -36,6 +38,8 @@ class ProductFiles:
         Polar motion.
     station : str
         Name of the station in the loading file; the marker's first four letters where not given.
+    nav : sequence of Path
+        Broadcast ephemerides, for GLONASS channels that the log does not tell.
     """
 
     sp3: Sequence[Path]
@@ -45,6 +49,7 @@ class ProductFiles:
     blq: Path | None = None
     erp: Path | None = None
     station: str = ""
+    nav: Sequence[Path] = ()
 
 
 def read_products(files: ProductFiles, table: SignalTable) -> tuple[Products, SiteFacts]:
@@ -79,6 +84,8 @@ def read_products(files: ProductFiles, table: SignalTable) -> tuple[Products, Si
     ocean, told = read_blq(files.blq, files.station or table.marker[:4]) if files.blq else (None, ())
     notes += [f"{note}: up to 5 cm near coasts" for note in told]
     pole = read_erp([files.erp]) if files.erp else None
+    if pole is not None and not np.isfinite(pole.at(table.t_ns[[0, -1]])).all():
+        notes.append(f"{files.erp}: does not cover the whole log, no pole tide outside: up to 2 cm")
     products = Products(
         orbits, clocks, biases, antennas.satellite if antennas else None, tuple(dict.fromkeys(notes))
     )

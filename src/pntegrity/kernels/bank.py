@@ -19,7 +19,7 @@ from numba import njit
 
 from pntegrity.kernels.linear import inverse_lower
 from pntegrity.kernels.signatures import Signature
-from pntegrity.kernels.sparse import nonzeros
+from pntegrity.kernels.sparse import Sparse, left, nonzeros
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -193,53 +193,54 @@ def _gather(
     return E_new, gram_new, source
 
 
+BankStep = tuple[Sparse, Sparse, FloatArray, int]
+"""What the banks need of an update: `F` and `H` by their non-zeros, ``L^-1`` over the gain, states before."""
+
+
+def step_of(F: FloatArray, H: FloatArray, L: FloatArray, K: FloatArray) -> BankStep:
+    """Return what all banks need of an update, made once."""
+    return nonzeros(F), nonzeros(H), np.concatenate((np.tril(inverse_lower(L)), K)), F.shape[1]
+
+
 def advance(
-    bank: Bank,
-    t_ns: int,
-    touched: tuple[FloatArray, FloatArray],
-    F: FloatArray,
-    H: FloatArray,
-    L: FloatArray,
-    K: FloatArray,
+    bank: Bank, t_ns: int, touched: tuple[FloatArray, FloatArray], step: BankStep
 ) -> tuple[Bank, FloatArray]:
     """Return the bank after one update and the whitened responses, shape (s * o, m), of its hypotheses.
 
     `touched` holds the rows that grow with time and the rows that jump, each (m, s) (see `signatures.masks`).
     """
+    (F, H, both, before), m = step, len(touched[0])
     s, o = len(bank.signatures), len(bank.onset)
-    growing, constant = touched
-    tau = np.asarray((t_ns - bank.onset_ns) * 1e-9, dtype=np.float64)
-    E = bank.E if bank.E.shape[0] == F.shape[1] else np.zeros((F.shape[1], s, o))
-    root = inverse_lower(L)
-    E, gram, response = _carried(E, bank.gram, *nonzeros(F), *nonzeros(H), root, K, growing, constant, tau)
+    E = bank.E if len(bank.E) == before else np.zeros((before, s, o))
+    E, gram, response = _carried(E, bank.gram, F, H, both, *touched, _since(bank, t_ns), len(both) - m)
     return Bank(bank.signatures, bank.onset, bank.onset_ns, E, gram), response
+
+
+def _since(bank: Bank, t_ns: int) -> FloatArray:
+    return np.asarray((t_ns - bank.onset_ns) * 1e-9, dtype=np.float64)
 
 
 @njit(cache=True, nogil=True)
 def _carried(
-    E: FloatArray, gram: FloatArray, F_start: IntArray, F_at: IntArray, F_value: FloatArray,
-    H_start: IntArray, H_at: IntArray, H_value: FloatArray, root: FloatArray, K: FloatArray,
-    growing: FloatArray, constant: FloatArray, tau: FloatArray,
+    E: FloatArray, gram: FloatArray, F: Sparse, H: Sparse, both: FloatArray,
+    growing: FloatArray, constant: FloatArray, tau: FloatArray, n: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Take all hypotheses through an epoch, a few signatures at a time so that they stay in the cache."""
-    s, o = E.shape[1], E.shape[2]
-    n, m = K.shape
+    s, o, m = gram.shape[0], gram.shape[1], len(growing)
     E_new, gram_new, response = np.empty((n, s, o)), gram.copy(), np.empty((s * o, m))
     for first in range(0, s, CHUNK):
         few = min(CHUNK, s - first)
-        prior, g = np.zeros((n, few * o)), np.zeros((m, few * o))
-        for i in range(n):
-            for k in range(F_start[i], F_start[i + 1]):
-                prior[i] += F_value[k] * E[F_at[k], first : first + few].reshape(few * o)
+        prior = left(F, E[:, first : first + few].copy().reshape(len(E), few * o))
+        g = -left(H, prior)
         for i in range(m):
             for k in range(few):
-                if growing[i, first + k] != 0.0 or constant[i, first + k] != 0.0:
-                    g[i, k * o : (k + 1) * o] = growing[i, first + k] * tau + constant[i, first + k]
-            for k in range(H_start[i], H_start[i + 1]):
-                g[i] -= H_value[k] * prior[H_at[k]]
-        white = np.dot(root, g)
-        E_new[:, first : first + few] = (prior + np.dot(K, g)).reshape(n, few, o)
-        response[first * o : (first + few) * o] = white.T
+                grows, jumps = growing[i, first + k], constant[i, first + k]
+                if grows != 0.0 or jumps != 0.0:
+                    for a in range(o):
+                        g[i, k * o + a] += grows * tau[a] + jumps
+        both_g = np.dot(both, g)
+        E_new[:, first : first + few] = (prior + both_g[m:]).reshape(n, few, o)
+        response[first * o : (first + few) * o] = both_g[:m].T
         for k in range(few):
             own = response[(first + k) * o : (first + k + 1) * o]
             gram_new[first + k] += np.dot(own, own.T)

@@ -1,27 +1,35 @@
-"""The windowed vectors of AIME and SRAIME as linear maps of whitened innovations.
+"""The windowed vectors of AIME and SRAIME, carried forward one epoch at a time.
 
 The window is a run of updates after an anchor posterior. The state propagator leaves the anchor without
-measurements; ``s_i`` is how far the filter's prior has moved from it: ``s_1 = 0``, ``s_{i+1} = F_{i+1} (s_i +
-K_i nu_i)``. Then ``e_i = nu_i + H_i s_i`` (AIME) and ``d_i = s_i + K_i nu_i`` (SRAIME). Both papers form an
-average weighted by inverse covariances; any invertible change of the average leaves the statistic alone, so
-the weighted sums ``eta = sum_i W_i e_i`` (or ``W_i T d_i``) are used. The maps come from one backward
-(adjoint) pass.
+measurements; ``s_i`` is how far the filter's prior has moved from it: ``s_1 = 0``, ``s_{i+1} = F_{i+1} d_i``
+with ``d_i = s_i + K_i nu_i``. AIME looks at ``e_i = nu_i + H_i s_i``, SRAIME at ``e_i = T d_i``. Both papers
+form an average weighted by inverse covariances; any invertible change of the average leaves the statistic
+alone, so the weighted sum ``eta = sum_i W_i e_i`` is used. With ``C_i = cov(s_i)``, ``X_i = cov(s_i,
+eta_{i-1})`` and ``A = H`` or ``T``, white innovations give its exact covariance without a map::
+
+    V_i = V_{i-1} + W_i + W_i A X_i + (W_i A X_i)^T,  cov(d_i, eta_i) = X_i + cov(d_i, e_i) W_i
+
+A state that was initialised from an epoch's own data has an unknown error that innovations do not show. The
+weights leave out its directions ``Z = A B`` (`B`: what such errors make of the propagator): ``W Z = 0``, so
+that neither `eta` nor its rank knows of it, whatever the filter says its prior variance is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Protocol
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.kernels.linear import inverse_definite
-from pntegrity.kernels.sparse import right, sandwich
-from pntegrity.kernels.windows import pseudo_inverses
+from pntegrity.kernels.sparse import left, nonzeros
+from pntegrity.kernels.weighing import Carried, Given, step_rows, step_states
+from pntegrity.kernels.windows import pivoted_root, pseudo_inverses
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 
 class Step(Protocol):
@@ -30,6 +38,11 @@ class Step(Protocol):
     @property
     def keys(self) -> tuple[str, ...]:
         """Names of the rows."""
+        ...
+
+    @property
+    def nu(self) -> FloatArray:
+        """Innovation."""
         ...
 
     @property
@@ -62,100 +75,188 @@ class Step(Protocol):
         """What the rows took from the covariance."""
         ...
 
+    @property
+    def consumed(self) -> int:
+        """States initialised from this epoch's data."""
+        ...
 
-def drift_covariances(window: Sequence[Step]) -> list[FloatArray]:
-    """Return ``cov(s_i)``: how far the filter may have moved from the propagator before each update, shapes
-    (n_i, n_i).
+    @property
+    def prior(self) -> Any:
+        """Belief before the rows: its covariance `P`."""
+        ...
+
+    @property
+    def posterior(self) -> Any:
+        """Belief after the rows."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """What is carried of one window: m rows of `eta`, n states, b unknown directions.
+
+    Parameters
+    ----------
+    onset : int
+        Counter of the window's first update.
+    length : int
+        Updates so far.
+    names : tuple of str, length m
+        What `eta` is about: keys of rows, or names of states.
+    carried : tuple of ndarray
+        ``cov(d)`` (n, n); ``cov(d, eta)`` (n, m); ``cov(eta)`` (m, m); the sum of the weights (m, m); roots
+        of the weights' diagonal before the unknown was left out (m,), the measure of what is no variance;
+        ``B`` (n, b); and the data's part, ``d`` (n,) and ``eta`` (m,).
     """
-    out = [np.zeros_like(window[0].absorbed)]
-    for earlier, later in pairwise(window):
-        out.append(sandwich(later.F, out[-1] + earlier.absorbed))
+
+    onset: int
+    length: int
+    names: tuple[str, ...]
+    carried: Carried
+
+    @property
+    def cov(self) -> FloatArray:
+        """``V = cov(eta)``."""
+        return self.carried[2]
+
+    @property
+    def weight(self) -> FloatArray:
+        """Sum of the weights: its inverse is the published covariance of the average."""
+        return self.carried[3]
+
+    @property
+    def eta(self) -> FloatArray:
+        """The data's part."""
+        return self.carried[7]
+
+    def root(self) -> FloatArray:
+        """Return a root of the exact inverse covariance of `eta`, shape (rank, m)."""
+        return pivoted_root(self.cov, self.carried[4])
+
+
+def given(u: Step, blind: bool = True) -> Given:
+    """Return what all windows need of an update, made once.
+
+    Not `blind`: as if no state were initialised from its data.
+    """
+    H = nonzeros(u.H)
+    born = initialised(u) if blind else np.zeros(0, dtype=np.int64)
+    HP = left(H, u.prior.P)
+    S, nu, absorbed = read_only(u.S), read_only(u.nu), read_only(u.absorbed)
+    return nonzeros(u.F), H, HP, S, nu, absorbed, u.K @ u.nu, born
+
+
+def read_only(a: FloatArray) -> FloatArray:
+    """Return a read-only view, so that one compiled kernel serves arrays before and after they were
+    pickled.
+    """
+    out = a.view()
+    out.flags.writeable = False
     return out
 
 
-def innovation_maps(window: Sequence[Step]) -> tuple[tuple[FloatArray, ...], FloatArray]:
-    """Return the maps ``M_j`` of AIME's weighted innovation sum and the sum of its weights (the published
-    covariance).
+def initialised(u: Step) -> IntArray:
+    """Return which states were initialised from the update's own data.
 
-    Rows are the union of the window's keys, so satellites may rise and set inside it.
+    An update only counts them: they are those of the states that inherit nothing which the data determined
+    best, measured by how much their variance fell.
+    """
+    if not u.consumed:
+        return np.zeros(0, dtype=np.int64)
+    fresh = np.flatnonzero(~u.F.any(axis=1))
+    before, after = np.diagonal(u.prior.P)[fresh], np.diagonal(u.posterior.P)[fresh]
+    left_over = after / np.where(before > 0.0, before, 1.0)
+    return np.asarray(np.sort(fresh[np.argsort(left_over, kind="stable")[: u.consumed]]), dtype=np.int64)
+
+
+def new_passage(onset: int, names: tuple[str, ...] = ()) -> Passage:
+    """Return a window without updates."""
+    m = len(names)
+    none, square, zero = np.zeros((0, 0)), np.zeros((m, m)), np.zeros(m)
+    carried = (none, np.zeros((0, m)), square, square, zero, none, np.zeros(0), zero)
+    return Passage(onset, 0, names, carried)
+
+
+def look_at_rows(passage: Passage, keys: tuple[str, ...], given: Given) -> tuple[Passage, FloatArray]:
+    """Return AIME's window with one more update, whose rows are `keys`, and the update's weight.
+
+    `eta` is about the union of the window's keys, so satellites may rise and set inside it.
 
     References
     ----------
     Yu et al. (2023), SRAIME, eqs (27)-(32); Diesel and King (1995).
     """
-    union = _union([u.keys for u in window])
-    rows = [_places(u.keys, union) for u in window]
-    weights = [
-        inverse_definite(u.S + sandwich(u.H, C) if i else u.S) for i, (u, C) in enumerate(_drifting(window))
-    ]
-    believed = np.zeros((len(union), len(union)))
-    maps: list[FloatArray] = []
-    Y = np.zeros((len(union), window[-1].K.shape[0]))
-    for i in range(len(window) - 1, -1, -1):
-        u, W, r = window[i], weights[i], rows[i]
-        A = Y @ u.K
-        A[r] += W
-        maps.append(A @ u.L)
-        _add_block(believed, r, W)
-        if i:
-            Y[r] += right(W, u.H)
-            Y = right(Y, u.F)
-    return tuple(reversed(maps)), believed
+    names = union(passage.names, keys)
+    carried, W = step_rows(passage.carried, given, places(keys, names), len(names))
+    return Passage(passage.onset, passage.length + 1, names, carried), W
 
 
-def _drifting(window: Sequence[Step]) -> list[tuple[Step, FloatArray]]:
-    return list(zip(window, drift_covariances(window), strict=True))
-
-
-def _union(keys: list[tuple[str, ...]]) -> tuple[str, ...]:
-    if all(k is keys[-1] or k == keys[-1] for k in keys):
-        return keys[-1]
-    return tuple(dict.fromkeys(k for ks in keys for k in ks))
-
-
-def _places(keys: tuple[str, ...], union: tuple[str, ...]) -> slice | npt.NDArray[np.intp]:
-    """Return where rows stand in the union: everywhere (a slice, which is fast) as long as no satellite comes
-    or goes.
-    """
-    if keys == union:
-        return slice(None)
-    index = {k: i for i, k in enumerate(union)}
-    return np.array([index[k] for k in keys], dtype=np.intp)
-
-
-def _add_block(total: FloatArray, places: slice | npt.NDArray[np.intp], block: FloatArray) -> None:
-    if isinstance(places, slice):
-        total += block
-    else:
-        total[np.ix_(places, places)] += block
-
-
-def state_maps(
-    window: Sequence[Step], blocks: Sequence[npt.NDArray[np.intp]]
-) -> tuple[tuple[FloatArray, ...], FloatArray]:
-    """Return the maps of SRAIME's weighted state-difference sum and the sum of its weights.
+def look_at_states(passage: Passage, block: IntArray, given: Given) -> tuple[Passage, FloatArray]:
+    """Return SRAIME's window with one more update, and the update's weight.
 
     Parameters
     ----------
-    window : sequence of updates
-    blocks : sequence of index arrays
-        Where the chosen states stand in each update's layout (the same states throughout).
+    passage : Passage
+        Its names are those of the states.
+    block : ndarray of int
+        Where these states stand in the update's layout.
+    given : tuple
+        The update.
 
     References
     ----------
     Yu et al. (2023), SRAIME, eqs (37)-(41).
     """
-    moved = [
-        (C + u.absorbed)[b][:, b] for C, u, b in zip(drift_covariances(window), window, blocks, strict=True)
-    ]
-    weights = pseudo_inverses(np.stack(moved))
-    d = len(blocks[0])
-    maps: list[FloatArray] = []
-    Y = np.zeros((d, window[-1].K.shape[0]))
+    carried, W, regular = step_states(passage.carried, given, block, np.zeros((0, 0)))
+    if not regular:
+        carried, W, _ = step_states(passage.carried, given, block, pseudo_inverses(W[None])[0])
+    return Passage(passage.onset, passage.length + 1, passage.names, carried), W
+
+
+def union(names: tuple[str, ...], more: tuple[str, ...]) -> tuple[str, ...]:
+    """Return `names` with those of `more` appended that are not among them."""
+    if names is more or names == more:
+        return names
+    return tuple(dict.fromkeys((*names, *more)))
+
+
+@lru_cache(maxsize=1024)
+def places(names: tuple[str, ...], among: tuple[str, ...]) -> IntArray:
+    """Return where `names` stand."""
+    index = {k: i for i, k in enumerate(among)}
+    at = np.array([index[k] for k in names], dtype=np.int64)
+    at.flags.writeable = False
+    return at
+
+
+def maps(
+    window: Sequence[Step], weights: Sequence[FloatArray], at: Sequence[IntArray], m: int, states: bool
+) -> tuple[FloatArray, ...]:
+    """Return the maps ``M_j`` of ``eta = sum_j M_j n_j``, by one backward (adjoint) pass.
+
+    Parameters
+    ----------
+    window : sequence of updates
+    weights : sequence of ndarray
+        As the window was carried forward.
+    at : sequence
+        Where each weight's rows stand in `eta` (AIME), or where the states stand in each layout (SRAIME).
+    m : int
+        Rows of `eta`.
+    states : bool
+        True: SRAIME.
+    """
+    out: list[FloatArray] = []
+    Y = np.zeros((m, window[-1].K.shape[0]))
     for i in range(len(window) - 1, -1, -1):
-        u, b = window[i], blocks[i]
-        Y[:, b] += weights[i]
-        maps.append(Y @ u.K @ u.L)
+        u, W, r = window[i], weights[i], at[i]
+        if states:
+            Y[:, r] += W
+        A = Y @ u.K
+        if not states:
+            A[r] += W
+            Y[r] += W @ u.H
+        out.append(A @ u.L)
         if i:
-            Y = right(Y, u.F)
-    return tuple(reversed(maps)), weights.sum(axis=0)
+            Y = Y @ u.F
+    return tuple(reversed(out))

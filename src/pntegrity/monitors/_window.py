@@ -4,28 +4,17 @@ suspects.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
 from pntegrity.kernels.signatures import Signature, catalogue, masks
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.kernels.windows import Form, QuadraticTest, respond
-from pntegrity.records import FloatArray, Suspect, Update, Verdict
+from pntegrity.records import FloatArray, Layout, Suspect, Update, Verdict
 
 Window = tuple[Update, ...]
-
-
-def slide(window: Window, update: Update, length: int) -> Window:
-    """Return the window with `update` appended, at most `length` long.
-
-    An epoch without rows empties it. A start stands alone: its innovations come from a state that was
-    initialised from the same data, so no later window contains them.
-    """
-    if not update.keys:
-        return ()
-    if update.is_start or length == 1:
-        return (update,)
-    return (*(u for u in window[1 - length :] if not u.is_start), update)
 
 
 def unavailable(monitor: str, variant: str, update: Update, reason: str) -> Verdict:
@@ -45,19 +34,26 @@ def quadratic_test(
     return QuadraticTest(form, factor * chi2_threshold(p_fa, dof), p_fa, dof)
 
 
-def judge(monitor: str, variant: str, test: QuadraticTest, memory: Window, update: Update) -> Verdict:
-    """Return the verdict of a test on `update`, `memory` being the updates before it, with suspects where it
-    alarms.
+def judge(
+    monitor: str, variant: str, test: QuadraticTest, window: Window, statistic: float, p_fa: float
+) -> Verdict:
+    """Return the verdict of a test on the last update of its window, with suspects where it alarms; `p_fa` is
+    what the whole monitor stands for.
     """
+    assert test.form is not None
+    facts = (statistic, test.threshold, p_fa, test.dof)
+    if statistic <= test.threshold:
+        return Verdict(monitor, variant, window[-1].t_ns, "ok", *facts)
+    suspects = name_suspects(window, test.form)
+    return Verdict(monitor, variant, window[-1].t_ns, "alert", *facts, suspects, is_ambiguous(suspects))
+
+
+def judge_alone(monitor: str, variant: str, test: QuadraticTest, update: Update) -> Verdict:
+    """Return the verdict of a test of one update."""
     if test.form is None:
         return unavailable(monitor, variant, update, test.reason)
-    window = (*memory, update)[-len(test.form.maps) :]
-    statistic = float(test.form.statistic([u.white for u in window]))
-    facts = (statistic, test.threshold, test.p_fa, test.dof)
-    if statistic <= test.threshold:
-        return Verdict(monitor, variant, update.t_ns, "ok", *facts)
-    suspects = name_suspects(window, test.form)
-    return Verdict(monitor, variant, update.t_ns, "alert", *facts, suspects, is_ambiguous(suspects))
+    statistic = float(test.form.statistic([update.white]))
+    return judge(monitor, variant, test, (update,), statistic, test.p_fa)
 
 
 def no_redundancy(update: Update) -> str:
@@ -68,19 +64,27 @@ def no_redundancy(update: Update) -> str:
 
 
 def block_of(update: Update, block: str) -> npt.NDArray[np.intp]:
-    """Return where the states of `block` stand (all of them for an empty name)."""
-    return np.arange(len(update.prior)) if not block else update.prior.layout.block(block)
+    """Return where the states of `block` stand: names joined by ``+``, all states for an empty one."""
+    return _places(update.prior.layout, block)
 
 
-def state_test_reason(update: Update) -> str:
+@lru_cache(maxsize=1024)
+def _places(layout: Layout, block: str) -> npt.NDArray[np.intp]:
+    if not block:
+        return np.arange(len(layout))
+    found = np.concatenate([layout.block(part) for part in block.split("+")])
+    return np.array(list(dict.fromkeys(found.tolist())), dtype=np.intp)
+
+
+def state_test_reason(update: Update, block: str) -> str:
     """Say why a test of the state cannot be made."""
     if not update.keys:
         return no_redundancy(update)
-    return (
-        "no prior: the state was initialised from this epoch's own data"
-        if update.is_start
-        else "no such states"
-    )
+    if update.is_start:
+        return "no prior: the state was initialised from this epoch's own data"
+    if not len(block_of(update, block)):
+        return f"no such states: {block!r}"
+    return f"no state of {block!r} lives through the window"
 
 
 def is_ambiguous(suspects: tuple[Suspect, ...], margin: float = 9.0) -> bool:

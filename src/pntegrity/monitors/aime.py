@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from pntegrity.kernels.extrapolation import innovation_maps
-from pntegrity.kernels.windows import Form, QuadraticTest, definite_inverse_root, exact_form
-from pntegrity.monitors._options import check_epochs, check_test
-from pntegrity.monitors._window import Window, judge, quadratic_test, slide
-from pntegrity.records import Update, Verdict
+from pntegrity.kernels.extrapolation import Passage
+from pntegrity.kernels.windows import definite_inverse_root
+from pntegrity.monitors._carried import Rows
+from pntegrity.monitors._extrapolating import Extrapolating
+from pntegrity.monitors._options import check_test, window_lengths
+from pntegrity.monitors._window import Window
+from pntegrity.records import FloatArray, Update
 
 
 @dataclass(frozen=True)
-class Aime:
+class Aime(Extrapolating):
     """Autonomous integrity monitoring by extrapolation: a weighted mean of innovations against a coasting
     state.
 
@@ -22,16 +24,20 @@ class Aime:
     their inverse covariances. `published` uses the inverse of the summed weights as covariance, as printed,
     which treats the terms as independent: its false-alarm rate is many times the nominal one, and it needs
     the same rows in the whole window (else unavailable). `exact` uses the exact covariance of the same vector
-    and takes any rows. Threshold: chi-square with as many degrees of freedom as rows (exact: as the rank). It
-    cannot see a fault older than its window that the state has absorbed. Memory: `window` updates; until it
-    is full the window is what there is (published: RCTM).
+    and takes any rows; what the epochs of the window took from their own data to initialise states is left
+    out of it. Threshold: chi-square with as many degrees of freedom as rows (exact: as the rank, so without
+    what was left out). Of several windows each has its share of `p_fa`, in equal parts: the false-alarm
+    probability of all together is at most `p_fa`. It cannot see a fault older than its window that the state
+    has absorbed. Memory: the updates of the longest window, and what is carried of each window; until one is
+    full the window is what there is (published: RCTM).
 
     Parameters
     ----------
     p_fa, variant, factor
         As for RCTM.
-    window : int
-        Extrapolation cycle ``m``, epochs.
+    window : int or tuple of int
+        Extrapolation cycle ``m``, epochs; or several, all tested at every epoch. From 10 on a window of the
+        exact variant is between ``m`` and ``1.4 m`` long, so that only every fourth, eighth, ... is carried.
 
     References
     ----------
@@ -39,55 +45,36 @@ class Aime:
 
     Examples
     --------
-    >>> Aime(window=5).start()
-    ()
+    >>> Aime(window=[20, 5]).window
+    (5, 20)
     """
 
     name: ClassVar[str] = "aime"
     p_fa: float = 1e-6
     variant: Literal["exact", "published"] = "exact"
     factor: float = 1.0
-    window: int = 5
+    window: int | tuple[int, ...] = 5
 
     def __post_init__(self) -> None:
         check_test(self.p_fa, self.factor, self.variant)
-        check_epochs("window", self.window, 1)
+        object.__setattr__(self, "window", window_lengths(self.window))
 
-    def start(self) -> Window:
-        """Return an empty window."""
-        return ()
+    @property
+    def view(self) -> Rows:
+        """All rows; those directions of them that were initialised from data only where published."""
+        return Rows(blind=self.variant == "exact")
 
-    def form(self, window: Window) -> Form | None:
-        """Return the linear form over the window, or None where the published one does not apply."""
-        if not window:
-            return None
-        used = self._published_window(window)
-        if not used:
-            return None
-        maps, believed = innovation_maps(used)
+    def metric(self, passage: Passage, window: Window) -> tuple[FloatArray, int] | None:
+        """Return the root of the window's inverse covariance and its degrees of freedom, or None where the
+        published test does not apply.
+        """
         if self.variant == "exact":
-            return exact_form(maps)
-        return Form(maps, definite_inverse_root(believed), len(used[-1].keys))
+            root = passage.root()
+            return root, len(root)
+        if any(set(u.keys) != set(passage.names) for u in window):
+            return None
+        return definite_inverse_root(passage.weight), len(window[-1].keys)
 
-    def _published_window(self, window: Window) -> Window:
-        if self.variant == "exact" or len(window) == 1:
-            return window
-        rows = set(window[-1].keys)
-        return window if all(set(u.keys) == rows for u in window) else ()
-
-    def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
-        """Return the test of the window that ends with `update`, without data, and the memory after it."""
-        window = slide(memory, update, self.window)
-        short = self.variant == "published" and len(window) < self.window
-        form = self.form(window[-1:] if short else window)
-        reason = "the rows changed within the window: the published test does not apply" if window else ""
-        consumed = update.consumed if update.is_start else 0
-        test = quadratic_test(
-            form, update, p_fa=self.p_fa, factor=self.factor, consumed=consumed, reason=reason
-        )
-        return test, window
-
-    def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
-        """Test the window that ends with `update`."""
-        test, after = self.plan(memory, update)
-        return judge(self.name, self.variant, test, memory, update), after
+    def reason(self, passage: Passage, update: Update) -> str:
+        """Say why a window cannot be tested."""
+        return "the rows changed within the window: the published test does not apply"

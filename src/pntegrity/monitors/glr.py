@@ -17,6 +17,7 @@ from pntegrity.kernels.bank import (
     parents,
     rearrange,
     stack_sources,
+    step_of,
 )  # fmt: skip
 from pntegrity.kernels.signatures import catalogue, rows_touched
 from pntegrity.kernels.tails import max_threshold
@@ -44,12 +45,14 @@ class Glr:
     """Windowed generalised likelihood ratio: which fault, since when, how large?
 
     Hypotheses: a bias or a ramp on any row, on all rows of a group (satellite), or of a family (constellation
-    clock), since any of a thinned set of onsets. Each signature is taken through the filter (what the state
-    absorbs of it, the test does not expect to see). Statistic: the largest ``num^2 / den`` of the bank.
-    Threshold: the false-alarm probability of the whole bank is at most `p_fa` an epoch, by Hunter's bound
-    over the exact correlations of the hypotheses. Assumes white innovations. It cannot see a fault that was
-    there when the filter or the satellite's states started, nor one that the states follow as fast as it
-    grows. Memory: running sums, nothing is recomputed. Ours; it has no published variant.
+    clock), since any of a thinned set of onsets; where a group has code and carrier, biases of its rows and
+    ramps of the whole, since beside a float ambiguity the other kinds cannot be told from these: believe the
+    satellite that is named, not the kind. Each signature is taken through the filter (what the state absorbs
+    of it, the test does not expect to see). Statistic: the largest ``num^2 / den`` of the bank. Threshold:
+    the false-alarm probability of the whole bank is at most `p_fa` an epoch, by Hunter's bound over the exact
+    correlations of the hypotheses. Assumes white innovations. It cannot see a fault that was there when the
+    filter or the satellite's states started, nor one that the states follow as fast as it grows. Memory:
+    running sums, nothing is recomputed. Ours; it has no published variant.
 
     Parameters
     ----------
@@ -133,11 +136,10 @@ class Glr:
         """
         start_ns = memory.last_ns if memory.count else update.t_ns
         banks, sources, responses = [], [], []
+        step = step_of(update.F, update.H, update.L, update.K)
         for kind, schedule, bank in zip(KINDS, self.schedules, memory.banks, strict=True):
             ready, source = rearrange(bank, catalogue(update.keys, kind), schedule, memory.count, start_ns)
-            after, response = advance(
-                ready, update.t_ns, rows_touched(update.keys, kind), update.F, update.H, update.L, update.K
-            )
+            after, response = advance(ready, update.t_ns, rows_touched(update.keys, kind), step)
             banks.append(after)
             sources.append(source)
             responses.append(response)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pntegrity.kernels.windows import Form, QuadraticTest
 from pntegrity.monitors._options import check_test
-from pntegrity.monitors._window import Window, judge, quadratic_test
+from pntegrity.monitors._window import Window, judge_alone, quadratic_test
 from pntegrity.records import Update, Verdict
 
 
@@ -68,4 +68,4 @@ class Rctm:
     def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
         """Test one update."""
         test, after = self.plan(memory, update)
-        return judge(self.name, self.variant, test, memory, update), after
+        return judge_alone(self.name, self.variant, test, update), after

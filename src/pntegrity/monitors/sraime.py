@@ -5,43 +5,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-import numpy as np
-
-from pntegrity.kernels.extrapolation import state_maps
-from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
-from pntegrity.monitors._options import check_block, check_epochs, check_test
-from pntegrity.monitors._window import (
-    Window,
-    block_of,
-    judge,
-    quadratic_test,
-    slide,
-    state_test_reason,
-)
-from pntegrity.records import Update, Verdict
+from pntegrity.kernels.extrapolation import Passage
+from pntegrity.kernels.windows import inverse_root
+from pntegrity.monitors._carried import States
+from pntegrity.monitors._extrapolating import Extrapolating
+from pntegrity.monitors._options import check_block, check_test, window_lengths
+from pntegrity.monitors._window import Window, state_test_reason
+from pntegrity.records import FloatArray, Update
 
 
 @dataclass(frozen=True)
-class Sraime:
+class Sraime(Extrapolating):
     """State-domain robust AIME: posterior states against a state propagated from before the window.
 
     Hypothesis: no fault within the window. Statistic: ``d_avg^T cov^+ d_avg`` with ``d_i`` the difference of
     posterior and propagated states in `block`, averaged with their inverse covariances (by singular values,
     so that a near singular covariance is harmless). `published` uses the inverse of the summed weights as
     covariance, as printed: its false-alarm rate is a hundred times the nominal one and more. `exact` uses the
-    exact covariance. Threshold: chi-square with the dimension of the block (exact: the rank). It cannot see
-    what the states of `block` do not show: under a white-noise position model the position block is blind to
-    slow faults, since every epoch forgets. Memory: `window` updates; the states of `block` must live through
-    it.
+    exact covariance, and leaves out what the window's epochs initialised from their own data. Tested are
+    those states of `block` that live through the whole window; one that begins anew under its name does not.
+    Threshold: chi-square with the number of these states (exact: the rank). Of several windows each has its
+    share of `p_fa`, in equal parts: the false-alarm probability of all together is at most `p_fa`. The test
+    cannot see what the states of `block` do not show: under a white-noise position model the position block
+    is blind to slow faults, since every epoch forgets. Memory: the updates of the longest window, and what is
+    carried of each window; until one is full the window is what there is (published: SRCTM).
 
     Parameters
     ----------
     p_fa, variant, factor
         As for RCTM.
-    window : int
-        Extrapolation cycle ``m``, epochs.
+    window : int or tuple of int
+        Extrapolation cycle ``m``, epochs; or several: as for AIME.
     block : str
-        Name of the states that are tested, ``"pos"`` by default.
+        Name of the states that are tested, ``"pos"`` by default; several joined by ``+`` (``"pos+amb"``);
+        ``""`` stands for all of them.
 
     References
     ----------
@@ -57,39 +54,30 @@ class Sraime:
     p_fa: float = 1e-6
     variant: Literal["exact", "published"] = "exact"
     factor: float = 1.0
-    window: int = 5
+    window: int | tuple[int, ...] = 5
     block: str = "pos"
 
     def __post_init__(self) -> None:
         check_test(self.p_fa, self.factor, self.variant)
-        check_epochs("window", self.window, 1)
+        object.__setattr__(self, "window", window_lengths(self.window))
         check_block(self.block)
 
-    def start(self) -> Window:
-        """Return an empty window."""
-        return ()
+    @property
+    def view(self) -> States:
+        """The states of the block."""
+        return States(self.block, blind=self.variant == "exact")
 
-    def form(self, window: Window) -> Form | None:
-        """Return the linear form over the window, or None where the chosen states did not live through it."""
-        if not window or window[-1].is_start:
+    def metric(self, passage: Passage, window: Window) -> tuple[FloatArray, int] | None:
+        """Return the root of the window's inverse covariance and its degrees of freedom, or None where none
+        of the chosen states lived through it.
+        """
+        if window[-1].is_start or not passage.names:
             return None
-        blocks = [block_of(u, self.block) for u in window]
-        if not len(blocks[-1]) or any(len(b) != len(blocks[-1]) for b in blocks):
-            return None
-        maps, believed = state_maps(window, blocks)
         if self.variant == "published":
-            return Form(maps, inverse_root(believed), len(blocks[-1]))
-        metric = inverse_root(np.asarray(sum(M @ M.T for M in maps)))
-        return Form(maps, metric, metric.shape[0])
+            return inverse_root(passage.weight), len(passage.names)
+        root = passage.root()
+        return root, len(root)
 
-    def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
-        """Return the test of the window that ends with `update`, without data, and the memory after it."""
-        window = slide(memory, update, self.window)
-        short = self.variant == "published" and len(window) < self.window
-        form, reason = self.form(window[-1:] if short else window), state_test_reason(update)
-        return quadratic_test(form, update, p_fa=self.p_fa, factor=self.factor, reason=reason), window
-
-    def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
-        """Test the window that ends with `update`."""
-        test, after = self.plan(memory, update)
-        return judge(self.name, self.variant, test, memory, update), after
+    def reason(self, passage: Passage, update: Update) -> str:
+        """Say why a window cannot be tested."""
+        return state_test_reason(update, self.block)

@@ -7,14 +7,14 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root
+from pntegrity.kernels.extrapolation import initialised
+from pntegrity.kernels.windows import Form, QuadraticTest, inverse_root, pivoted_root
 from pntegrity.monitors._options import check_block, check_test
 from pntegrity.monitors._window import (
     Window,
     block_of,
-    judge,
+    judge_alone,
     quadratic_test,
-    slide,
     state_test_reason,
 )
 from pntegrity.records import Update, Verdict
@@ -26,15 +26,17 @@ class Srctm:
 
     Hypothesis: as RCTM. Statistic: ``d^T cov(d)^+ d`` with ``d = T (x - x') = T K nu`` over the states of
     `block`, and ``cov(d) = T (P' - P) T^T`` exactly. Threshold: chi-square; its degrees of freedom are the
-    rank of the covariance (`exact`) or the number of states (`published`, as printed). It cannot see what the
-    rows say beside the chosen states, nor a fault that grows slowly. Memory: none.
+    rank of the covariance (`exact`, which leaves out states that were initialised from this very epoch) or
+    the number of states (`published`, as printed). It cannot see what the rows say beside the chosen states,
+    nor a fault that grows slowly. Memory: none.
 
     Parameters
     ----------
     p_fa, variant, factor
         As for RCTM.
     block : str
-        Name of the states that are tested, ``"pos"`` by default; ``""`` stands for all of them.
+        Name of the states that are tested, ``"pos"`` by default; several joined by ``+`` (``"pos+amb"``);
+        ``""`` stands for all of them.
 
     References
     ----------
@@ -64,21 +66,26 @@ class Srctm:
         """Return the linear form of the last update, or None where the chosen states are absent or only just
         born.
         """
-        if not window or window[-1].is_start:
+        if not window or window[-1].is_start or not window[-1].keys:
             return None
         u = window[-1]
         b = block_of(u, self.block)
+        if self.variant == "exact":
+            b = b[~np.isin(b, initialised(u))]
         if not len(b):
             return None
-        metric = inverse_root(u.absorbed[np.ix_(b, b)])
-        return Form((u.K[b] @ u.L,), metric, len(b) if self.variant == "published" else metric.shape[0])
+        cov, maps = u.absorbed[np.ix_(b, b)], (u.K[b] @ u.L,)
+        if self.variant == "published":
+            return Form(maps, inverse_root(cov), len(b))
+        metric = pivoted_root(cov)
+        return Form(maps, metric, len(metric))
 
     def plan(self, memory: Window, update: Update) -> tuple[QuadraticTest, Window]:
         """Return the test of `update`, without data, and the memory after it."""
-        form, reason = self.form(slide((), update, 1)), state_test_reason(update)
+        form, reason = self.form((update,)), state_test_reason(update, self.block)
         return quadratic_test(form, update, p_fa=self.p_fa, factor=self.factor, reason=reason), ()
 
     def step(self, memory: Window, update: Update) -> tuple[Verdict, Window]:
         """Test one update."""
         test, after = self.plan(memory, update)
-        return judge(self.name, self.variant, test, memory, update), after
+        return judge_alone(self.name, self.variant, test, update), after

@@ -53,6 +53,8 @@ class Extra:
         Why an arc begins at this row (`kernels.slips.WORDS`), 0 where it goes on.
     carrier_shift_m : ndarray
         To be added to the carrier: jumps of the receiver's clock that the file shows in its code only.
+    clock_node_s : ndarray, shape (n, 2)
+        Time since the last and until the next sample of the satellite's clock.
     """
 
     code_m: FloatArray
@@ -60,6 +62,7 @@ class Extra:
     arc: npt.NDArray[np.int64]
     arc_reason: npt.NDArray[np.int64]
     carrier_shift_m: FloatArray
+    clock_node_s: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +122,18 @@ def assemble(
         )
         for i, t in enumerate(t_ns.tolist())
     )
-    counted = [f"{text} ({k} of {n} epochs)" for text, k in sorted(Counter(texts).items())]
-    return epochs, counted
+    return epochs, _counted(chosen.sat[lost].tolist(), reasons[lost].tolist(), n)
+
+
+def _counted(sats: list[str], reasons: list[str], n: int) -> list[str]:
+    """Return a line a reason: which satellites it left out, and at how many of the `n` epochs."""
+    by_reason: dict[str, Counter[str]] = {}
+    for sat, reason in zip(sats, reasons, strict=True):
+        by_reason.setdefault(reason, Counter())[sat] += 1
+    return [
+        f"{reason}: {', '.join(f'{sat} {k}' for sat, k in sorted(counts.items()))} of {n} epochs"
+        for reason, counts in sorted(by_reason.items())
+    ]
 
 
 def _measurements(
@@ -146,6 +159,7 @@ def _measurements(
     own: dict[str, dict[str, npt.NDArray[np.generic]]] = {name: {} for name in values}
     if extra is not None:
         values["carrier"] = values["carrier"] + extra.carrier_shift_m[ok]
+        aux["clk_node_s"] = extra.clock_node_s[ok]
         own["code"] = {"model_m": extra.code_m[ok]}
         own["carrier"] = {
             "model_m": extra.carrier_m[ok], "arc": extra.arc[ok], "arc_reason": extra.arc_reason[ok],

@@ -9,7 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.errors import InputError
-from pntegrity.physics.signals import DEFAULT_PAIRS, DEFAULT_SIGNALS, PRECISE_PAIRS, WORDS
+from pntegrity.physics._steady import Groups, steady
+from pntegrity.physics.signals import (
+    DEFAULT_PAIRS,
+    DEFAULT_SIGNALS,
+    PRECISE_CARRIERS,
+    PRECISE_PAIRS,
+    WORDS,
+)
 from pntegrity.physics.tables import SignalTable
 from pntegrity.physics.time import to_iso
 
@@ -20,6 +27,8 @@ RANGE_M = (1.0e7, 6.0e7)
 """Pseudoranges outside cannot be: satellites are 1.9e7 to 4.2e7 m away, 10 ms of clock offset are 3e6 m."""
 NEVER = 255
 """Rank of a signal that is not in the preference list."""
+OTHER_SIGNALS = "other signals than in the rest of its pass"
+Lists = dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +86,7 @@ def choose(
 ) -> Chosen:
     """Choose for each epoch and satellite the first usable code of the list, and a second for a pair.
 
-    Carriers are those of the codes; with `precise`, which prefers the codes that precise clocks refer to, the
-    first of the band that there is (P(Y) code is often logged without a carrier of its own).
+    Carriers are those of the codes; with `precise` see `_steadily`.
     """
     sat, epoch = table.sat[rows], table.epoch[rows].astype(np.int64)
     p = table.pseudorange_m[rows]
@@ -95,31 +103,51 @@ def choose(
         second = _best(_ranks(table, rows, lists[1]), usable, starts)
         reason[(reason == "") & (second < 0)] = "no second frequency"
     to_table = np.append(rows, -1)
-    codes = to_table[first], to_table[second]
-    carriers = codes
-    if precise:
-        one, two = (_carriers(table, rows, starts, c, n) for c, n in zip(codes, lists, strict=True))
-        carriers = one, two
-    return Chosen(epoch[starts], sat[starts], *codes, reason, *carriers)
+    if not precise:
+        codes = to_table[first], to_table[second]
+        return Chosen(epoch[starts], sat[starts], *codes, reason, *codes)
+    groups = Groups(np.cumsum(new) - 1, sat[starts], table.t_ns[epoch[starts]])
+    one, two = (_steadily(table, rows, groups, usable, n, signals) for n in lists)
+    reason[(reason == "") & ((one[0] < 0) | (two[0] < 0))] = OTHER_SIGNALS
+    found = [to_table[x] for x in (one[0], two[0], one[1], two[1])]
+    return Chosen(epoch[starts], sat[starts], found[0], found[1], reason, found[2], found[3])
 
 
-def _lists(
-    signals: Mapping[str, tuple[str, ...]], pair: bool, precise: bool
-) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
+def _lists(signals: Mapping[str, tuple[str, ...]], pair: bool, precise: bool) -> tuple[Lists, Lists]:
     """Return the preferences for the first and the second signal of each system."""
     pairs = PRECISE_PAIRS if precise else DEFAULT_PAIRS
     first = {s: signals.get(s, pairs[s][0] if pair else DEFAULT_SIGNALS[s]) for s in DEFAULT_SIGNALS}
     return first, {s: signals.get(s + "2", pairs[s][1]) for s in DEFAULT_SIGNALS}
 
 
-def _carriers(
-    table: SignalTable, rows: Index, starts: Index, code: Index, lists: Mapping[str, tuple[str, ...]]
-) -> Index:
-    """Return the first carrier of the list that has the band of the code, -1 where there is none."""
-    found = _best(_ranks(table, rows, lists), np.isfinite(table.carrier_cycles[rows]), starts)
-    found = np.append(rows, -1)[found]
-    same = table.signal[found].astype("<U1") == table.signal[code].astype("<U1")
-    return np.where((found >= 0) & (code >= 0) & same, found, -1)
+def _steadily(
+    table: SignalTable, rows: Index, groups: Groups, usable: npt.NDArray[np.bool_], codes: Lists,
+    signals: Mapping[str, tuple[str, ...]],
+) -> tuple[Index, Index]:  # fmt: skip
+    """Return for each group the rows of a code and of a carrier of the same band, -1 where there is none.
+
+    They are the same ones from a satellite's rise to its setting, as a carrier that is another one has
+    another ambiguity. Codes are preferably those that precise clocks refer to, carriers civil ones, which
+    slip less; P(Y) code is often logged without a carrier of its own.
+    """
+    names = table.signal[rows]
+    carriers = {s: c if signals.get(s) or signals.get(s + "2") else _civil(s, c) for s, c in codes.items()}
+    coded = usable & (_ranks(table, rows, codes) < NEVER)
+    band = groups.of_row * 10 + _bands(names)
+    there = np.isfinite(table.carrier_cycles[rows]) & np.isin(band, band[coded])
+    carrier, meant = steady(groups, names, there, carriers)
+    same = (meant[groups.of_row] == 0) | (meant[groups.of_row] == _bands(names))
+    code, _ = steady(groups, names, usable & same, codes)
+    return code, carrier
+
+
+def _civil(system: str, codes: tuple[str, ...]) -> tuple[str, ...]:
+    bands = {c[0] for c in codes}
+    return tuple(c for c in PRECISE_CARRIERS.get(system, codes) if c[0] in bands)
+
+
+def _bands(names: npt.NDArray[np.str_]) -> npt.NDArray[np.int64]:
+    return names.astype("<U1").astype(np.int64)
 
 
 def _ranks(table: SignalTable, rows: Index, lists: Mapping[str, tuple[str, ...]]) -> npt.NDArray[np.int64]:

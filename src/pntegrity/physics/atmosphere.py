@@ -21,7 +21,7 @@ __all__ = ["klobuchar_m", "mapping_factors", "troposphere_m", "zenith_delays_m"]
 LOWEST_M, HIGHEST_M = -1_000.0, 20_000.0
 """Heights between which a receiver has a troposphere above it."""
 HUMIDITY = 0.5
-NIELL_LOWEST_RAD = 0.0524
+NIELL_LOWEST_RAD, NIELL_M = 0.0524, (-100.0, 10_000.0)
 LOWEST_RAD, HIGHEST_RAD = 0.0175, 1.5708
 """Elevations: below 1 degree the mapping functions grow without bound and are kept at their value there."""
 
@@ -126,7 +126,7 @@ def mapping_factors(
 ) -> tuple[FloatArray, FloatArray]:
     """Return Niell's dry and wet mapping factors, shapes (n,): how much longer than at the zenith a delay is.
 
-    Below 3 degrees they are kept at their value there.
+    Below 3 degrees, and beyond the heights of `NIELL_M`, they are kept at their value there.
     """
     import sidereon
 
@@ -134,6 +134,7 @@ def mapping_factors(
     if not LOWEST_M < height < HIGHEST_M:
         return np.zeros(len(el_rad)), np.zeros(len(el_rad))
     when, factors = to_unix_us(t_ns), sidereon.tropo_mapping_factors
+    height = min(max(height, NIELL_M[0]), NIELL_M[1])
     elevations = np.clip(el_rad, NIELL_LOWEST_RAD, HIGHEST_RAD - 1e-9).tolist()
     pairs = np.array([factors(el, lat, height, when) for el in elevations]).reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1]

@@ -10,7 +10,7 @@ from pntegrity.physics.products import PreciseClocks, PreciseOrbits
 from pntegrity.physics.signals import SPEED_OF_LIGHT_MPS
 from pntegrity.records import FloatArray
 
-__all__ = ["clock_pieces", "precise_states"]
+__all__ = ["clock_nodes_s", "clock_pieces", "precise_states"]
 
 STEP_S = 0.5
 """Half-width of the central difference that gives the velocity."""
@@ -95,6 +95,19 @@ def _orbit(
             part[rows], here = orbits.position_m(sat, t_ns[rows], offset_s[rows] + step)
             ok[rows] &= here
     return parts[1], (parts[2] - parts[0]) / (2.0 * STEP_S), ok
+
+
+def clock_nodes_s(
+    clocks: PreciseClocks, sats: npt.NDArray[np.str_], t_ns: npt.NDArray[np.int64]
+) -> FloatArray:
+    """Return how long ago the last clock sample is and how far ahead the next, s, shape (n, 2)."""
+    out = np.zeros((len(sats), 2))
+    for sat, rows in _groups(sats):
+        nodes = clocks.series[sat][0] if sat in clocks.series else np.zeros(0, dtype=np.int64)
+        if len(nodes) > 1:
+            i = np.clip(np.searchsorted(nodes, t_ns[rows], side="right"), 1, len(nodes) - 1)
+            out[rows] = np.stack([t_ns[rows] - nodes[i - 1], nodes[i] - t_ns[rows]], axis=1) * 1e-9
+    return np.maximum(out, 0.0)
 
 
 def clock_pieces(

@@ -16,7 +16,7 @@ from pntegrity.physics._choice import Chosen, check_systems, choose, systems_lef
 from pntegrity.physics.arcs import SlipLimits, arcs_of, clock_resets_m
 from pntegrity.physics.corrections import Antennas, Site, corrections_m, sky_of
 from pntegrity.physics.orbits import SatelliteStates
-from pntegrity.physics.precise import NO_CLOCK, NO_ORBIT, clock_pieces, precise_states
+from pntegrity.physics.precise import NO_CLOCK, NO_ORBIT, clock_nodes_s, clock_pieces, precise_states
 from pntegrity.physics.products import (
     CodeBiases,
     OceanLoading,
@@ -25,7 +25,7 @@ from pntegrity.physics.products import (
     PreciseOrbits,
     ReceiverAntenna,
 )
-from pntegrity.physics.signals import CLOCK_SIGNALS, SPEED_OF_LIGHT_MPS, WORDS
+from pntegrity.physics.signals import CLOCK_SIGNALS, SPEED_OF_LIGHT_MPS, WORDS, frequency_hz
 from pntegrity.physics.tables import SignalTable
 from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import Epoch, FloatArray
@@ -90,7 +90,8 @@ def precise_epochs(
     GnssEpochs
         As `gnss_epochs` gives with ``ionosphere_free``. `aux` has also ``model_m`` (to be added to
         predictions: antennas, tides, wind-up, path delay, code biases); of ``"carrier"``: ``arc`` and
-        ``arc_reason``.
+        ``arc_reason``; of all ``clk_node_s``, the time since the last and until the next sample of the
+        satellite's clock (n, 2).
 
     Raises
     ------
@@ -192,7 +193,9 @@ def _extra(
     code, carrier, notes = _models(table, products, facts, chosen, states, t_ns, track_m, band, order)
     if resets:
         notes.append(f"{resets} jumps of the receiver clock in code only: carriers moved along")
-    return Extra(code, carrier, arcs.number, arcs.reason, shift), notes + _slips_in_words(arcs.reason)
+    nodes = clock_nodes_s(products.clocks, chosen.sat, table.t_ns[chosen.epoch])
+    found = Extra(code, carrier, arcs.number, arcs.reason, shift, nodes)
+    return found, notes + _slips_in_words(arcs.reason)
 
 
 def _slips_in_words(reason: npt.NDArray[np.int64]) -> list[str]:
@@ -231,21 +234,36 @@ def _biases(
     order: npt.NDArray[np.intp],
     notes: list[str],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return by how much the two codes are longer than those that the clocks refer to, m."""
+    """Return by how much the two codes are longer than those that the clocks refer to, m.
+
+    Where the second is of another band, the combination is another one too: what that changes is added to
+    both.
+    """
     out = []
     unknown: Counter[str] = Counter()
     for slot, rows in enumerate((chosen.first, chosen.second)):
         names = np.char.add(chosen.sat[order], table.signal[rows[order]])
         kinds, inverse = np.unique(names, return_inverse=True)
-        values = np.zeros(len(kinds))
+        values = np.zeros((len(kinds), 2))
         for i, kind in enumerate(kinds.tolist()):
             reference = CLOCK_SIGNALS[kind[0]][slot]
             found = 0.0 if reference == kind[3:] else None
             if found is None and biases is not None:
                 found = biases.difference_s(kind[:3], kind[3:], reference)
-            if found is None and kind[3:4] == reference[0]:
+            if found is None:
                 unknown[f"{WORDS[kind[0]]} C{kind[3:]} against C{reference}"] += 1
-            values[i] = (found or 0.0) * SPEED_OF_LIGHT_MPS
-        out.append(values[inverse])
+            values[i] = found or 0.0, _other_band(kind, biases) if slot else 0.0
+        out.append(SPEED_OF_LIGHT_MPS * values[inverse])
     notes += [f"no code bias of {what} ({n} satellites): taken as 0" for what, n in unknown.items()]
-    return out[0], out[1]
+    common = out[0][:, 1] + out[1][:, 1]
+    return out[0][:, 0] + common, out[1][:, 0] + common
+
+
+def _other_band(kind: str, biases: CodeBiases | None) -> float:
+    """Return by how much the clocks' own codes, combined for the band of a second code, are longer, s."""
+    one, two = CLOCK_SIGNALS[kind[0]]
+    if biases is None or kind[3] == two[0]:
+        return 0.0
+    apart = biases.difference_s(kind[:3], one, two) or 0.0
+    f1, f2, reference = (frequency_hz(kind[0], name, 0) for name in (one, kind[3:], two))
+    return apart * (1.0 / ((f1 / f2) ** 2 - 1.0) - 1.0 / ((f1 / reference) ** 2 - 1.0))

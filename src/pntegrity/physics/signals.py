@@ -11,8 +11,8 @@ import math
 from functools import lru_cache
 
 __all__ = [
-    "CLOCK_SIGNALS", "DEFAULT_PAIRS", "DEFAULT_SIGNALS", "PRECISE_PAIRS", "SPEED_OF_LIGHT_MPS", "WORDS",
-    "frequency_hz",
+    "CLOCK_SIGNALS", "DEFAULT_PAIRS", "DEFAULT_SIGNALS", "PRECISE_CARRIERS", "PRECISE_PAIRS",
+    "SPEED_OF_LIGHT_MPS", "WORDS", "frequency_hz",
 ]  # fmt: skip
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
@@ -45,6 +45,12 @@ PRECISE_PAIRS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = DEFAULT_PAIR
     "R": (("1P", "1C"), ("2P", "2C")),
 }
 """The same where precise clocks are used: first the codes that they refer to."""
+
+PRECISE_CARRIERS: dict[str, tuple[str, ...]] = {
+    "G": ("1C", "1L", "1X", "1W", "1P", "2L", "2X", "2S", "2W", "2P", "2C"),
+    "R": ("1C", "1P", "2C", "2P"),
+}
+"""Carriers of the same bands, those of civil signals first: they lock at lower levels and slip less."""
 
 CLOCK_SIGNALS: dict[str, tuple[str, str]] = {
     "G": ("1W", "2W"), "R": ("1P", "2P"), "E": ("1C", "5Q"), "C": ("2I", "6I"), "J": ("1C", "2L"),

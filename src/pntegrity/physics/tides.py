@@ -38,7 +38,7 @@ def displacements_m(
     ocean : OceanLoading, optional
         Coefficients of the station; without them no loading.
     pole : PolarMotion, optional
-        Without it no pole tide.
+        Without it, and at times outside its table, no pole tide.
     solid : bool
         Whether there is a solid Earth tide.
     """
@@ -69,13 +69,14 @@ def _at(
     when = datetime(1980, 1, 6) + timedelta(seconds=t_ns / SECOND_NS)
     when -= timedelta(seconds=leap_seconds(when.year, when.month, when.day))
     loading = None if ocean is None else sidereon.OceanLoadingBlq(*(a.tolist() for a in _coefficients(ocean)))
-    x, y = (0.0, 0.0) if pole is None else pole.at(t_ns)
+    x, y = (np.nan, np.nan) if pole is None else pole.at(t_ns)
+    known = bool(np.isfinite(x) and np.isfinite(y))
     permissive: Any = sidereon.ValidityMode.PERMISSIVE
     found = sidereon.station_displacement_ecef_m(
         np.ascontiguousarray(position_m), when.year, when.month, when.day, when.hour, when.minute,
-        when.second + when.microsecond * 1e-6, solid_earth_tide=solid, pole_tide=pole is not None,
+        when.second + when.microsecond * 1e-6, solid_earth_tide=solid, pole_tide=known,
         ocean_loading=loading, validity=permissive,
-        polar_motion_arcsec=None if pole is None else (float(x), float(y)),
+        polar_motion_arcsec=(float(x), float(y)) if known else None,
     )  # fmt: skip
     return np.asarray(found.ecef_m, dtype=np.float64)
 

@@ -18,11 +18,12 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from pntegrity.kernels.signatures import family_of, is_rate
+from pntegrity.evaluate.whiteness import KINDS, judged, row_kinds
+from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.signals import WORDS
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, group_of
-from pntegrity.report.story import Absence, absences, clock_time
+from pntegrity.report.story import Absence, absences, cause_text, clock_time
 from pntegrity.report.tables import family_counts
 
 __all__ = ["Figure", "Frame", "array", "axes", "frame", "satellites", "status", "timeline", "used"]
@@ -193,7 +194,7 @@ def timeline(f: Frame) -> Figure:
         "type": "scatter", "mode": "text",
         "x": [x if end else b + w for x, (b, w), end in zip(starts, spans, late, strict=True)],
         "y": [safe(a.group) for a in f.gone],
-        "text": [f"  {safe(_cause(a))}  " if a in labelled else "" for a in f.gone],
+        "text": [f"  {safe(cause_text(a.exclusion))}  " if a in labelled else "" for a in f.gone],
         "textposition": ["middle left" if end else "middle right" for end in late], "textfont": {"size": 11},
         "hoverinfo": "skip",
     }  # fmt: skip
@@ -207,18 +208,12 @@ def timeline(f: Frame) -> Figure:
     return Figure("timeline", [bars, onset, said], layout, 56 + 28 * max(len(groups), 1))
 
 
-def _cause(a: Absence) -> str:
-    e = a.exclusion
-    test = "epoch test" if e.monitor == "subset" else e.monitor.upper()
-    return f"{test}: {e.kind} {e.size:.2f} m/s" if e.kind == "ramp" else f"{test}: {e.kind} {e.size:.1f} m"
-
-
 def _bar_text(f: Frame, a: Absence) -> str:
     until = clock_time(f.outcomes[a.stop - 1].t_ns) if a.back else "the end"
     onset = clock_time(a.exclusion.onset_ns)
     lines = [
         f"<b>{safe(a.group)}</b> {clock_time(f.outcomes[a.start].t_ns)} to {until}",
-        safe(_cause(a)),
+        safe(cause_text(a.exclusion)),
         f"onset {onset}",
     ]
     return "<br>".join(
@@ -227,12 +222,13 @@ def _bar_text(f: Frame, a: Absence) -> str:
 
 
 def satellites(f: Frame) -> Figure:
-    """Return innovations over their standard deviation, a lane a group; what was left out is underlined.
+    """Return normalised innovations, a lane a group and a view a kind; what was left out is underlined.
 
-    The residual of a group that is left out is the one against the solution without it.
+    Each is what its row says beside all others of the epoch. The residual of a group that is left out is the
+    one against the solution without it.
     """
-    levels, rates = _normalised(f)
-    views = [(name, part) for name, part in (("Code", levels), ("Range rate", rates)) if part[0]]
+    found = zip(("Code", "Carrier", "Range rate"), _normalised(f), strict=True)
+    views = [(name, part) for name, part in found if part[0]]
     data: list[dict[str, Any]] = []
     shown = []
     for i, (_, (groups, z)) in enumerate(views):
@@ -252,32 +248,36 @@ def satellites(f: Frame) -> Figure:
     return Figure("residuals", data, layout, 90 + LANE_PX * len(groups), views=labels)
 
 
-def _normalised(f: Frame) -> tuple[tuple[list[str], FloatArray], tuple[list[str], FloatArray]]:
-    """Return groups and (groups, instants) of level and of rate rows; of a group's rows the largest."""
-    sets = {ks for o in f.outcomes for ks in (o.update.keys, o.update.spare_keys)}
-    keys = {k for ks in sets for k in ks}
+def _normalised(f: Frame) -> list[tuple[list[str], FloatArray]]:
+    """Return groups and (groups, instants) of each kind of rows; of a group's rows the largest."""
+    kind_of = row_kinds(o.update for o in f.outcomes)
     out = []
-    for wanted in (False, True):
-        groups = ordered({group_of(k) for k in keys if is_rate(k) is wanted})[::-1]
-        lane = {g: i for i, g in enumerate(groups)}
-        row = {k: lane[group_of(k)] for k in keys if is_rate(k) is wanted}
-        z = np.full((len(f.outcomes), len(groups)), np.nan)
-        for j, o in enumerate(f.outcomes):
-            _fill(z[j], o, row)
+    values = [_judged_and_spare(o) for o in f.outcomes]
+    for kind in KINDS:
+        mine = [k for k, found in kind_of.items() if found == kind]
+        groups = ordered({group_of(k) for k in mine})[::-1]
+        row = {k: groups.index(group_of(k)) for k in mine}
+        z = np.full((len(values), len(groups)), np.nan)
+        for j, parts in enumerate(values):
+            for keys, value in parts:
+                _fill(z[j], keys, value, row)
         out.append((groups, f.place(z.T)))
-    return out[0], out[1]
+    return out
 
 
-def _fill(z: FloatArray, o: Outcome, row: dict[str, int]) -> None:
+def _judged_and_spare(o: Outcome) -> tuple[tuple[tuple[str, ...], FloatArray], ...]:
+    """Return the rows that were used and those that were not, in standard deviations."""
     u = o.update
-    for keys, nu, variance in ((u.keys, u.nu, u.S.diagonal()), (u.spare_keys, u.spare_nu, u.spare_var)):
-        at = [(row[k], i) for i, k in enumerate(keys) if k in row]
-        if not at:
-            continue
+    used = judged(u) if u.keys else u.nu
+    return (u.keys, used), (u.spare_keys, u.spare_nu / np.sqrt(u.spare_var))
+
+
+def _fill(z: FloatArray, keys: tuple[str, ...], value: FloatArray, row: dict[str, int]) -> None:
+    at = [(row[k], i) for i, k in enumerate(keys) if k in row]
+    if at:
         lanes, i = np.array(at, dtype=np.intp).T
-        value = nu[i] / np.sqrt(variance[i])
-        order = np.argsort(np.abs(value), kind="stable")
-        z[lanes[order]] = value[order]
+        order = np.argsort(np.nan_to_num(np.abs(value[i]), nan=-1.0), kind="stable")
+        z[lanes[order]] = value[i][order]
 
 
 def _heat(groups: list[str], z: FloatArray, visible: bool) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Figures of the report with several panels, and the sky: statistics, position error, tracks."""
+"""Figures of the report with several panels: statistics, position error."""
 
 from __future__ import annotations
 
@@ -9,16 +9,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from pntegrity.records import FloatArray, Verdict, group_of
-from pntegrity.report.figures import ORDER, Figure, Frame, array, axes, colour, ordered, safe
-from pntegrity.report.tables import groups_in
+from pntegrity.records import FloatArray, Verdict
+from pntegrity.report.figures import Figure, Frame, array, axes, safe
 
-__all__ = ["monitors", "position", "sky"]
-
-FEW = 12
-"""Up to as many exclusions get a ring in the sky plot, more only a thick track."""
-SKY_STEP_S = 30.0
-"""The sky plot has one point a track in this time; its caption says so."""
+__all__ = ["band", "half_range", "label", "log_range", "monitors", "position"]
 
 
 def monitors(f: Frame, counts: Sequence[dict[str, Any]]) -> Figure:
@@ -38,7 +32,8 @@ def monitors(f: Frame, counts: Sequence[dict[str, Any]]) -> Figure:
         data += traces
         bounds = [float(np.log10(lowest)), float(np.log10(highest))]
         layout[axis.replace("y", "yaxis")] = {
-            "type": "log", "domain": domain, "range": bounds, "dtick": 2 if bounds[1] - bounds[0] > 4 else 1,
+            "type": "log", "domain": domain, "range": bounds,
+            "dtick": max(round((bounds[1] - bounds[0]) / 3.0), 1),
             "exponentformat": "power", "fixedrange": True, "anchor": "x", "tickfont": {"size": 10},
         }  # fmt: skip
         layout["annotations"].append(_title(count, domain[1]))
@@ -88,16 +83,16 @@ def _panel(
                     "marker": marker,
                 }
             )
-    return traces, *_log_range(np.concatenate([statistic, threshold, resolved]), threshold)
+    return traces, *log_range(np.concatenate([statistic, threshold, resolved]), threshold)
 
 
-def _log_range(every: FloatArray, threshold: FloatArray) -> tuple[float, float]:
+def log_range(every: FloatArray, threshold: FloatArray) -> tuple[float, float]:
     """Return a range that shows the statistics and the threshold; zeros have no place on a log axis."""
     every = every[np.isfinite(every) & (every > 0.0)]
     top = float(every.max()) if len(every) else 10.0
     level = float(np.nanmedian(threshold)) if np.isfinite(threshold).any() else 1.0
     low = float(np.quantile(every, 0.01)) if len(every) else level * 1e-2
-    return max(low / 2.0, level * 1e-7), max(top, level) * 3.0
+    return max(low / 2.0, level * 1e-15), max(top, level) * 3.0
 
 
 def _instants(f: Frame) -> FloatArray:
@@ -117,10 +112,10 @@ def _title(count: dict[str, Any], top: float) -> dict[str, Any]:
     )
     said = said if tests else "no test"
     text = f"<b>{safe(count['monitor'].upper())}</b>  {safe(count['variant'])} · {said}"
-    return _label(text, top)
+    return label(text, top)
 
 
-def _label(text: str, top: float) -> dict[str, Any]:
+def label(text: str, top: float) -> dict[str, Any]:
     """Return a title at the left above a panel whose upper edge is at `top`."""
     return {
         "text": text, "x": 0, "xref": "paper", "xanchor": "left", "y": top, "yref": "paper",
@@ -148,156 +143,47 @@ def position(f: Frame, table: pl.DataFrame) -> Figure:
     """Return east, north and up error within three sigma where truth is known, else three sigma alone."""
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"hovermode": "x unified", "annotations": [], "margin": {"t": 26}}
-    for i, (a, word, domain) in enumerate(zip("enu", ("East", "North", "Up"), axes(3, 0.1), strict=True)):
+    numbers = table.select(f"{what}_{a}_m" for a in "enu" for what in ("sigma", "error"))
+    values = f.place(numbers.cast(pl.Float64).fill_null(np.nan).to_numpy().T)
+    halves = [half_range(3.0 * sigma, error) for sigma, error in zip(values[::2], values[1::2], strict=True)]
+    factor, unit = (1.0, "m") if max(halves) > 1.0 else (100.0, "cm")
+    for i, (word, domain) in enumerate(zip(("East", "North", "Up"), axes(3, 0.1), strict=True)):
         axis = "y" if i == 0 else f"y{i + 1}"
-        sigma = 3.0 * f.place(table[f"sigma_{a}_m"].cast(pl.Float64).fill_null(np.nan).to_numpy())
-        error = f.place(table[f"error_{a}_m"].cast(pl.Float64).fill_null(np.nan).to_numpy())
-        data += _band(sigma, axis)
+        sigma, error = factor * values[2 * i], factor * values[2 * i + 1]
+        data += band(3.0 * sigma, axis)
         if np.isfinite(error).any():
             line = {"color": "--line", "width": 1.5}
             data.append(
                 {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "x": "$t",
-                    "y": array(error),
-                    "yaxis": axis,
-                    "name": f"{word} error",
-                    "line": line,
+                    "type": "scatter", "mode": "lines", "x": "$t", "y": array(error), "yaxis": axis,
+                    "name": f"{word} error", "line": line,
                 }
-            )
-        half = _half_range(sigma, error)
+            )  # fmt: skip
+        half = factor * halves[i]
         layout[axis.replace("y", "yaxis")] = {
-            "domain": domain,
-            "range": [-half, half],
-            "anchor": "x",
-            "nticks": 5,
-            "fixedrange": True,
-        }
-        layout["annotations"].append(_label(f"<b>{word}</b>, m", domain[1]))
+            "domain": domain, "range": [-half, half], "anchor": "x", "nticks": 5, "fixedrange": True,
+        }  # fmt: skip
+        layout["annotations"].append(label(f"<b>{word}</b>, {unit}", domain[1]))
     layout["xaxis"] = {"anchor": "y3"}
     return Figure("position", data, layout, 440)
 
 
-def _band(sigma: FloatArray, axis: str) -> list[dict[str, Any]]:
+def band(half: FloatArray, axis: str, middle: FloatArray | float = 0.0) -> list[dict[str, Any]]:
+    """Return the traces of a band of three sigma (`half`) about a course."""
     common = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": "$t",
-        "yaxis": axis,
+        "type": "scatter", "mode": "lines", "x": "$t", "yaxis": axis, "showlegend": False,
         "line": {"width": 0.8, "color": "--band-edge"},
-    }
+    }  # fmt: skip
     return [
-        {**common, "y": array(-sigma), "name": "−3σ", "hoverinfo": "skip"},
-        {**common, "y": array(sigma), "name": "3σ", "fill": "tonexty", "fillcolor": "--band"},
+        {**common, "y": array(middle - half), "name": "−3σ", "hoverinfo": "skip"},
+        {**common, "y": array(middle + half), "name": "3σ", "fill": "tonexty", "fillcolor": "--band"},
     ]
 
 
-def _half_range(sigma: FloatArray, error: FloatArray) -> float:
-    """Return a range that shows every error and the usual three sigma (a start is far wider)."""
-    usual = float(np.nanquantile(sigma, 0.95)) if np.isfinite(sigma).any() else 1.0
-    largest = float(np.nanmax(np.abs(error))) if np.isfinite(error).any() else 0.0
-    return 1.12 * max(usual, largest, 1e-3)
-
-
-def sky(f: Frame) -> Figure:
-    """Return the tracks of the satellites, north up; where one was left out its track is marked."""
-    tracks = _tracks(f)
-    data: list[dict[str, Any]] = []
-    for g in ordered(set(tracks)):
-        data.append(_track(g, *tracks[g][1:]))
-    marked = [m for a in f.gone if a.group in tracks for m in _marked(*tracks[a.group], a.start, a.stop)]
-    if marked:
-        r, theta = zip(*marked, strict=True)
-        line = {"color": "--alert", "width": 4}
-        few = len(f.gone) <= FEW
-        marker = {"size": 13 if few else 0, "color": "--alert", "symbol": "circle-open", "line": {"width": 2}}
-        data.append(
-            {
-                "type": "scatterpolar", "mode": "lines+markers", "r": list(r), "theta": list(theta),
-                "line": line, "marker": marker,
-                "name": "left out", "hoverinfo": "skip", "opacity": 0.85,
-            }
-        )  # fmt: skip
-    polar = {
-        "angularaxis": {
-            "direction": "clockwise", "rotation": 90,
-            "tickvals": [0, 90, 180, 270], "ticktext": ["N", "E", "S", "W"],
-        },
-        "radialaxis": {
-            "range": [0, 90], "tickvals": [0, 30, 60, 90], "ticktext": ["", "60°", "30°", ""],
-            "angle": 90, "tickangle": 90,
-            "ticks": "", "showline": False,
-        },
-    }  # fmt: skip
-    return Figure("sky", data, {"polar": polar, "hovermode": "closest"}, 470, timed=False)
-
-
-Track = tuple[FloatArray, FloatArray, FloatArray]
-
-
-def _tracks(f: Frame) -> dict[str, Track]:
-    """Return for each group in view: indices of outcomes, elevation and azimuth (deg)."""
-    found: dict[str, list[tuple[int, float, float]]] = {}
-    for i in _looks(f):
-        u = f.outcomes[i].update
-        if "el_rad" in u.aux and "az_rad" in u.aux:
-            angles = dict(
-                zip(
-                    map(group_of, u.keys),
-                    zip(u.aux["el_rad"].tolist(), u.aux["az_rad"].tolist(), strict=True),
-                    strict=True,
-                )
-            )
-            for g, (el, az) in angles.items():
-                found.setdefault(g, []).append((i, el, az))
-    out: dict[str, Track] = {}
-    for g, points in found.items():
-        a = np.array(points, dtype=np.float64)
-        el, az = (np.asarray(np.round(np.degrees(a[:, j]), 1), dtype=np.float64) for j in (1, 2))
-        out[g] = (a[:, 0], el, az)
-    return out
-
-
-def _looks(f: Frame) -> list[int]:
-    """Return the outcomes that the sky plot shows: one each `SKY_STEP_S`, and where satellites come or go."""
-    looks: list[int] = []
-    keys: tuple[str, ...] = ()
-    due = -(10**19)
-    last = len(f.outcomes) - 1
-    for i, o in enumerate(f.outcomes):
-        if o.t_ns >= due or i == last or o.update.keys != keys:
-            if o.update.keys != keys and i:
-                looks.append(i - 1)
-            looks.append(i)
-            due, keys = o.t_ns + round(SKY_STEP_S * 1e9), o.update.keys
-    return sorted(set(looks))
-
-
-def _track(group: str, el: FloatArray, az: FloatArray) -> dict[str, Any]:
-    tone = colour(group)
-    sizes = [0.0] * (len(el) - 1) + [7.0]
-    return {
-        "type": "scatterpolar", "mode": "lines+markers+text", "r": (90.0 - el).round(1).tolist(),
-        "theta": az.tolist(),
-        "text": [""] * (len(el) - 1) + [safe(group)], "textposition": "top center", "textfont": {"size": 10},
-        "line": {"color": tone, "width": 2}, "marker": {"size": sizes, "color": tone}, "name": safe(group),
-        "customdata": el.tolist(),
-        "hovertemplate": f"{safe(group)}  el %{{customdata}}°  az %{{theta}}<extra></extra>",
-    }  # fmt: skip
-
-
-def _marked(
-    i: FloatArray, el: FloatArray, az: FloatArray, start: int, stop: int
-) -> list[tuple[float | None, float | None]]:
-    """Return the piece of a track during which it was left out: between the known points around it."""
-    before = max(int(np.searchsorted(i, start)) - 1, 0)
-    after = min(int(np.searchsorted(i, stop)), len(i) - 1)
-    at = [before] if before == after else [before, after]
-    return [*((float(90.0 - el[j]), float(az[j])) for j in at), (None, None)]
-
-
-def legend(f: Frame) -> list[tuple[str, str]]:
-    """Return constellations in view and their colours."""
-    families = {g[:1] for o in f.outcomes for g in groups_in(o.update.keys)}
-    return [(c, colour(c)) for c in ORDER if c in families]
+def half_range(band_m: FloatArray, error: FloatArray) -> float:
+    """Return a range that shows the usual three sigma, and every error but of a start that says it is
+    wide.
+    """
+    usual = float(np.nanquantile(band_m, 0.9)) if np.isfinite(band_m).any() else 1.0
+    size = np.abs(error[~((band_m > usual) & (np.abs(error) <= band_m)) & np.isfinite(error)])
+    return 1.12 * max(usual, float(size.max(initial=0.0)), 1e-3)

@@ -15,8 +15,9 @@ from pntegrity.physics.time import DAY_NS, to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.tables import groups_in
+from pntegrity.report.units import length
 
-__all__ = ["Absence", "Sentence", "absences", "clock_time", "names", "span_text", "story"]
+__all__ = ["Absence", "Sentence", "absences", "cause_text", "clock_time", "names", "span_text", "story"]
 
 Kind = Literal["start", "event", "excluded", "alert", "unavailable", "gap", "end"]
 OFTEN = 3
@@ -81,6 +82,12 @@ def names(groups: Sequence[str], most: int = 6) -> str:
     if len(groups) > most:
         return f"{', '.join(groups[: most - 1])} and {len(groups) - most + 1} more"
     return " and ".join(filter(None, [", ".join(groups[:-1]), groups[-1]])) if groups else "none"
+
+
+def cause_text(e: Exclusion) -> str:
+    """Return which test excluded a group, and the fault: ``GLR: ramp 0.20 m/s``."""
+    test = "epoch test" if e.monitor == "subset" else e.monitor.upper()
+    return f"{test}: {e.kind} {length(e.size, '/s' if e.kind == 'ramp' else '')}"
 
 
 def absences(outcomes: Sequence[Outcome]) -> list[Absence]:
@@ -164,10 +171,8 @@ def _absent(together: list[Absence], outcomes: Sequence[Outcome], date: bool) ->
 
 
 def _cause(e: Exclusion, date: bool, now_ns: int) -> str:
-    test = "epoch test" if e.monitor == "subset" else e.monitor.upper()
-    size = f"ramp {e.size:.2f} m/s" if e.kind == "ramp" else f"{e.kind} {e.size:.1f} m"
     since = f" since {clock_time(e.onset_ns, date)}" if e.onset_ns != now_ns else ""
-    return f"{test}: {size}{since}"
+    return f"{cause_text(e)}{since}"
 
 
 def _effect(o: Outcome) -> str:

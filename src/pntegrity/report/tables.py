@@ -17,13 +17,13 @@ import numpy.typing as npt
 import polars as pl
 
 from pntegrity.kernels.signatures import family_of
-from pntegrity.physics.frames import ecef_to_geodetic
+from pntegrity.physics.frames import ecef_to_geodetic, enu_rotations
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, Suspect, Verdict, group_of
 from pntegrity.report.facts import RunFacts
 
-__all__ = ["exclusions", "family_counts", "groups_in", "rotations", "solution", "suspect_text", "verdicts"]
+__all__ = ["exclusions", "family_counts", "groups_in", "solution", "suspect_text", "verdicts"]
 
 #: Closer to the Earth's centre than this a state called "pos" is not Earth-fixed, m.
 EARTH_FIXED_M = 6.2e6
@@ -47,14 +47,15 @@ def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
 
     ``sigma_e_m``, ... are the filter's own standard deviations; ``error_h_m`` is the horizontal error;
     ``clk_m`` the clock of the constellation ``clk_system``, ``isb_<X>_m`` what constellation X differs from
-    it.
+    it. ``zwd_m`` is the zenith wet delay, ``n_arcs`` counts ambiguities, ``n_arcs_born`` those born at this
+    epoch.
     """
     position, P = _positions(outcomes)
-    llh = _geodetic(position)
-    to_enu = rotations(llh)
+    there = _earth_fixed(position)
+    llh, to_enu = ecef_to_geodetic(there), enu_rotations(there)
     sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", to_enu, P, to_enu), 0.0))
     truth = facts.truth(len(outcomes))
-    error = np.einsum("nij,nj->ni", rotations(_geodetic(truth)), position - truth)
+    error = np.einsum("nij,nj->ni", enu_rotations(_earth_fixed(truth)), position - truth)
     updates = [o.update for o in outcomes]
     columns: dict[str, Any] = {
         **_time(outcomes),
@@ -66,6 +67,7 @@ def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
         **{f"v{a}_mps": _column(_state(outcomes, f"vel:{a}")) for a in XYZ},
         **{f"sigma_{a}_m": _column(sigma[:, i]) for i, a in enumerate(ENU)},
         **_clocks(outcomes),
+        **_precise(outcomes),
         "n_rows": pl.Series([len(u.keys) for u in updates], dtype=pl.Int32),
         "n_satellites": pl.Series([len(groups_in(u.keys)) for u in updates], dtype=pl.Int32),
         "excluded": pl.Series([",".join(u.excluded) for u in updates], dtype=pl.String),
@@ -97,16 +99,10 @@ def _positions(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
     return position, P
 
 
-def _geodetic(position_m: FloatArray) -> FloatArray:
+def _earth_fixed(position_m: FloatArray) -> FloatArray:
+    """Return positions, nan where they are not Earth-fixed."""
     far = np.linalg.norm(position_m, axis=1) > EARTH_FIXED_M
-    return ecef_to_geodetic(np.where(far[:, None], position_m, np.nan))
-
-
-def rotations(llh: FloatArray) -> FloatArray:
-    """Return the matrices (n, 3, 3) from ECEF differences to east, north, up at geodetic positions (n, 3)."""
-    (sp, cp), (sl, cl) = (np.sin(llh[:, 0]), np.cos(llh[:, 0])), (np.sin(llh[:, 1]), np.cos(llh[:, 1]))
-    rows = [[-sl, cl, 0.0 * sl], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return np.where(far[:, None], position_m, np.nan)
 
 
 def _state(outcomes: Sequence[Outcome], name: str) -> FloatArray:
@@ -134,10 +130,35 @@ def _clocks(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
     }
 
 
+def _precise(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
+    """Return the wet delay, its gradients where there are any, and how many arcs are followed."""
+    updates = [o.update for o in outcomes]
+    tilted = any(u.posterior.layout.block("grad").size for u in updates)
+    wet = {"zwd": "zwd_m"} | ({"grad:n": "grad_n_m", "grad:e": "grad_e_m"} if tilted else {})
+    states = {name: _state(outcomes, state) for state, name in wet.items()}
+    sigmas = {f"sigma_{name}": _sigma(outcomes, state) for state, name in wet.items()}
+    arcs = [u.posterior.layout.block("amb") for u in updates]
+    born = [int((~u.F[a].any(axis=1)).sum()) for u, a in zip(updates, arcs, strict=True)]
+    return {
+        **{name: _column(values) for name, values in (states | sigmas).items()},
+        "n_arcs": pl.Series([len(a) for a in arcs], dtype=pl.Int32),
+        "n_arcs_born": pl.Series(born, dtype=pl.Int32),
+    }
+
+
+def _sigma(outcomes: Sequence[Outcome], name: str) -> FloatArray:
+    """Return the standard deviation of one scalar of the posterior at every epoch, nan where there is
+    none.
+    """
+    blocks = [o.update.posterior.block(name)[1] for o in outcomes]
+    return np.sqrt(np.array([P[0, 0] if P.size else np.nan for P in blocks], dtype=np.float64))
+
+
 def suspect_text(s: Suspect) -> str:
     """Say who may be at fault and how: ``G05 ramp 0.10/s since 06:20:01 (explains 45.2)``."""
     rate = "/s" if s.kind == "ramp" else ""
-    size = f"{s.size:.2f}{rate} since {to_iso(s.onset_ns)[11:]}"
+    digits = ".2f" if abs(s.size) >= 0.1 else "#.2g"
+    size = f"{s.size:{digits}}{rate} since {to_iso(s.onset_ns)[11:]}"
     return f"{'+'.join(s.groups)} {s.kind} {size} (explains {s.statistic:.1f})"
 
 

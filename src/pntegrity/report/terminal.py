@@ -9,6 +9,7 @@ from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.story import story
 from pntegrity.report.summary import headline, summary
+from pntegrity.report.units import length, together
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -81,10 +82,12 @@ def _figures(numbers: Mapping[str, Any]) -> list[str]:
         f"{s} {share[s]['epochs']} ({100 * share[s]['share']:.1f} %)" for s in ("ok", "alert", "unavailable")
     )
     keys = sorted({e["key"] for e in numbers["exclusions"]})
-    made = f" ({len(numbers['exclusions'])} exclusions, {numbers['readmissions']} readmitted)" if keys else ""
+    n = len(numbers["exclusions"])
+    made = f" ({n} exclusion{'s' * (n != 1)}, {numbers['readmissions']} readmitted)" if keys else ""
     lines = [f"epochs      {numbers['epochs']}: {said}", f"excluded    {', '.join(keys) or 'none'}{made}"]
     p = numbers["position"]
     if p:
-        rms = f"RMS {p['h']['rms_m']:.2f} m horizontal, {p['u']['rms_m']:.2f} m up"
-        lines.append(f"position    {rms} (95 %: {p['h']['p95_m']:.2f} and {p['u']['p95_m']:.2f} m)")
+        horizontal, up = p["h"], p["u"]
+        rms = f"RMS {length(horizontal['rms_m'])} horizontal, {length(up['rms_m'])} up"
+        lines.append(f"position    {rms} (95 %: {together(horizontal['p95_m'], up['p95_m'])})")
     return lines

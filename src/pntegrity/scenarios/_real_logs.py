@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.estimators._gnss import GnssOptions
+from pntegrity.estimators.spp_kf import SppKf
 from pntegrity.evaluate.calibrate import Calibration, calibrate
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import read_observations
@@ -55,9 +56,12 @@ def skipped(campaign: str, reason: str) -> list[Row]:
     return [row(campaign, "not run", "stated", None, note=reason)]
 
 
-def monitors(p_fa: float, noise: NoiseModel, names: Sequence[str] = NAMES) -> tuple[Monitor, ...]:
-    """Return exact monitors with the thresholds of a noise model."""
-    return tuple(discover()[n](p_fa=p_fa, factor=noise.factor(n)) for n in names)
+def monitors(
+    p_fa: float, noise: NoiseModel, names: Sequence[str] = NAMES, estimator: type[Any] = SppKf
+) -> tuple[Monitor, ...]:
+    """Return exact monitors with the thresholds of a noise model and the options that suit an estimator."""
+    usual = estimator.monitoring
+    return tuple(discover()[n](p_fa=p_fa, factor=noise.factor(n), **usual.get(n, {})) for n in names)
 
 
 @dataclass(frozen=True)

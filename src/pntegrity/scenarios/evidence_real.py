@@ -130,11 +130,11 @@ def ratios(monitor: Monitor, updates: Iterable[Update]) -> FloatArray:
 
 
 def _whiteness_rows(name: str, updates: Sequence[Update], note: str) -> list[Row]:
-    found = whiteness(updates)["level"]
+    found = whiteness(updates)
     strict = name == "calibrated"
     out = []
-    for lag, value in zip((1, 5, 30), found["autocorrelation"], strict=True):
-        quantity = f"autocorrelation of the code innovations at {lag} s, {name} noise model"
+    for lag, value in zip(found["lags_s"], found["code"]["autocorrelation"], strict=True):
+        quantity = f"autocorrelation of the code innovations at {lag:g} s, {name} noise model"
         must = "below 0.1 in size" if strict else "stated"
         out.append(row("clean", quantity, must, value, abs(value) < 0.1 if strict else None, note=note))
     return out

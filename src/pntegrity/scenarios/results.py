@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,17 @@ class Campaign:
     real: bool = True
 
 
+def _from(module: str, function: str) -> Callable[[Path], Sequence[Row]]:
+    """Return a campaign of a module of this folder, imported when it runs."""
+
+    def run(data: Path) -> Sequence[Row]:
+        found = import_module(f"pntegrity.scenarios.{module}")
+        rows: Sequence[Row] = getattr(found, function)(data)
+        return rows
+
+    return run
+
+
 def _spp8(data: Path) -> list[Row]:
     from pntegrity.scenarios.evidence_spp8 import evidence
 
@@ -46,43 +58,20 @@ def _spp8(data: Path) -> list[Row]:
     ]
 
 
-def _sraime(data: Path) -> list[Row]:
+def _printed(name: str, rows: Sequence[Row]) -> list[Row]:
+    return [row(name, r["quantity"], r["published"], r["measured"], r["ok"], note=r["note"]) for r in rows]
+
+
+def _sraime_spp(data: Path) -> list[Row]:
     from pntegrity.scenarios.reproduce_sraime_spp import reproduce
 
-    return [
-        row("sraime-spp", r["quantity"], r["published"], r["measured"], r["ok"], note=r["note"])
-        for r in reproduce().rows
-    ]
+    return _printed("sraime-spp", reproduce().rows)
 
 
-def _clean(data: Path) -> list[Row]:
-    from pntegrity.scenarios.evidence_real import clean
+def _sraime_ppp(data: Path) -> list[Row]:
+    from pntegrity.scenarios.reproduce_sraime_ppp import reproduce
 
-    return clean(data)
-
-
-def _delays(data: Path) -> list[Row]:
-    from pntegrity.scenarios.evidence_real import delays
-
-    return delays(data)
-
-
-def _faults(data: Path) -> list[Row]:
-    from pntegrity.scenarios.evidence_faults import faults
-
-    return faults(data)
-
-
-def _receivers(data: Path) -> list[Row]:
-    from pntegrity.scenarios.evidence_receivers import receivers
-
-    return receivers(data)
-
-
-def _speed(data: Path) -> list[Row]:
-    from pntegrity.scenarios.evidence_receivers import speed
-
-    return speed(data)
+    return _printed("sraime-ppp", reproduce(data=data).rows)
 
 
 _ALL = (
@@ -101,7 +90,7 @@ innovations are drawn white, so a false-alarm rate is a property of the monitor 
 half; alarms and whiteness are those of the second. 450 correlated epochs cannot prove a rate of
 1e-6, they can only refute it. The white model is the best of its kind: its sigma is fitted to the
 same data.""",
-        _clean,
+        _from("evidence_real", "clean"),
     ),
     Campaign(
         "delays",
@@ -109,14 +98,14 @@ same data.""",
         """The same log, second half, each satellite in turn, four onsets, P_FA 1e-6. The best possible test
 knows satellite, course, size, sign and onset; its delay is the first at which it alarms with
 probability one half. No test of this P_FA is more powerful at any epoch under the same noise model.""",
-        _delays,
+        _from("evidence_real", "delays"),
     ),
     Campaign(
         "faults",
         "Real static receiver: injected faults through the whole pipeline",
         """The same log, second half, random satellites, sizes, signs and onsets. With few satellites the
 filter ran for a minute on these alone before the fault; the snapshot has the one epoch.""",
-        _faults,
+        _from("evidence_faults", "faults"),
     ),
     Campaign(
         "receivers",
@@ -124,17 +113,76 @@ filter ran for a minute on these alone before the fault; the snapshot has the on
         """What the defaults and a fit to the first half of each log say on its second half. In the urban
 canyon most measurements are reflected: alarms there are true ones, and a fit takes the reflections
 for noise.""",
-        _receivers,
+        _from("evidence_receivers", "receivers"),
     ),
     Campaign(
-        "speed", "Speed of the main job", "A whole process each time, from the files to the report.", _speed
+        "speed",
+        "Speed of the main job",
+        "A whole process each time, from the files to the report.",
+        _from("evidence_receivers", "speed"),
+    ),
+    Campaign(
+        "ppp",
+        "Precise positions of real logs",
+        """Kinematic PPP, position white noise, float, default noise model: two static stations and a road
+drive. References are of the antennas. `python -m benchmarks.peers_ppp` runs RTKLIB on the same
+files (docs/benchmarks.md).""",
+        _from("evidence_ppp", "accuracy"),
+    ),
+    Campaign(
+        "ppp-clean",
+        "Precise logs, no fault",
+        """The noise model is fitted to the first half of each log; alarms and whiteness are those of the
+second.""",
+        _from("evidence_ppp", "clean"),
+    ),
+    Campaign(
+        "ppp-drive",
+        "Precise road drive, no fault: every alarm explained",
+        """CARD, the whole pipeline, noise model fitted to the first half. An alarm counts as explained where
+what was left out is shown to be wrong by something that the monitors did not use.""",
+        _from("evidence_ppp_drive", "drive"),
+    ),
+    Campaign(
+        "ppp-van",
+        "Precise van run, simulated on the real track",
+        """The observations of this run are not public: GPS and GLONASS are simulated on its true track under
+the real orbits and clocks of the day, with noise that makes the clean error that of GINav's own
+solution of the real data.""",
+        _from("evidence_ppp_drive", "van"),
+    ),
+    Campaign(
+        "ppp-ramps",
+        "Precise static log: one carrier grows by 1 cm an epoch",
+        """ESBC, second half, each satellite in turn, three onsets, P_FA 1e-6, fitted noise model.""",
+        _from("evidence_ppp_faults", "carrier_ramps"),
+    ),
+    Campaign(
+        "ppp-faults",
+        "Precise logs: code and carrier of a satellite grow, through the whole pipeline",
+        """Each satellite in turn, 40 epochs of growth, exclusion and repair; distances are to the run without
+the fault.""",
+        _from("evidence_ppp_faults", "satellite_ramps"),
+    ),
+    Campaign(
+        "ppp-speed",
+        "Speed of precise positioning",
+        "One thread; best of three runs over the log.",
+        _from("evidence_ppp", "speed"),
     ),
     Campaign(
         "sraime-spp",
         "The published SPP experiment (Table 1 of the SRAIME paper)",
         "The column *must* holds the published figure; *met* tells whether it is reproduced.",
-        _sraime,
+        _sraime_spp,
         real=False,
+    ),
+    Campaign(
+        "sraime-ppp",
+        "The published PPP experiment (Table 3 of the SRAIME paper)",
+        """The column *must* holds the published figures; *met* tells whether they are reproduced. The drive
+is the real one, the observations are simulated.""",
+        _sraime_ppp,
     ),
 )
 CAMPAIGNS: Mapping[str, Campaign] = {c.name: c for c in _ALL}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -15,6 +16,10 @@ from pntegrity.records import FloatArray
 
 #: BDS-2 satellites have numbers up to this one.
 LAST_BDS2 = "18"
+
+
+#: How much more than those of GPS the clocks of other constellations walk.
+SATELLITE_CLOCKS = {"G": 1.0, "R": 2.0, "E": 0.33, "C": 0.45, "J": 1.0}
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,8 @@ class NoiseModel:
         A further, constant code bias of each GLONASS satellite (its frequency's path through the receiver).
     carrier_m : float
         White carrier noise at the zenith, scaled like code.
+    glonass_carrier_factor : float
+        Carrier errors of GLONASS are larger by this.
     ambiguity_m : float
         Ambiguities, random walk, m/sqrt(s): what satellite orbits and clocks, multipath and the atmosphere
         leave in carriers changes slowly, and would make innovations coloured.
@@ -61,11 +68,14 @@ class NoiseModel:
     gradient_m, gradient_walk_m : float
         Horizontal gradients of the wet delay: standard deviation, random walk m/sqrt(s). Zero `gradient_m`:
         none.
+    satellite_clock_m : float
+        Random walk of a GPS satellite's clock, m/sqrt(s): what linear interpolation between the samples of
+        precise clocks leaves. `SATELLITE_CLOCKS` has the others in its units.
     position_m : float
         How far the position may walk, m/sqrt(s), where the motion is a random walk.
     satellites : tuple of (str, float, float)
-        Satellite, code factor, range-rate factor: what a calibration found beside the above, at its site and
-        hours.
+        Satellite, code factor, range-rate or carrier factor (whichever the estimator uses beside code): what
+        a calibration found beside the above, at its site and hours.
     factors : tuple of (str, float)
         Multipliers of the monitors' thresholds, from a calibration.
     name : str
@@ -88,11 +98,13 @@ class NoiseModel:
     isb_m: float = 0.001
     glonass_code_bias_m: float = 0.0
     carrier_m: float = 0.003
+    glonass_carrier_factor: float = 1.5
     ambiguity_m: float = 2e-4
     zwd_m: float = 0.2
     zwd_walk_m: float = 1e-4
     gradient_m: float = 0.0
     gradient_walk_m: float = 1e-5
+    satellite_clock_m: float = 2.5e-3
     position_m: float = 1.0
     satellites: tuple[tuple[str, float, float], ...] = ()
     factors: tuple[tuple[str, float], ...] = ()
@@ -144,8 +156,20 @@ class NoiseModel:
         return _code_factor(keys, self.glonass_factor, self.bds2_factor, ())
 
     def rate_factor(self, keys: tuple[str, ...]) -> FloatArray:
-        """Return by how much the range-rate errors of the rows' satellites are larger, shape (n,)."""
+        """Return by how much the range-rate or carrier errors of the rows' satellites are larger, shape
+        (n,).
+        """
         return _rate_factor(keys, self.satellites)
+
+    def carrier_factor(self, keys: tuple[str, ...]) -> FloatArray:
+        """Return by how much the carrier errors of the rows' satellites are larger than those of GPS, shape
+        (n,).
+        """
+        return _carrier_factor(keys, self.glonass_carrier_factor, self.satellites)
+
+    def satellite_clock_factor(self, keys: tuple[str, ...]) -> FloatArray:
+        """Return how much more than those of GPS the clocks of the rows' satellites walk, shape (n,)."""
+        return _by_system(keys)
 
     def snapshot_sigma_m(self, scale: FloatArray, slow: FloatArray) -> FloatArray:
         """Return the total standard deviation of a code row, for a solver without error states.
@@ -157,6 +181,11 @@ class NoiseModel:
         """
         fast = np.hypot(self.code_white_m, self.code_multipath_m)
         return np.asarray(np.hypot(fast * scale, self.code_bias_m * slow))
+
+
+@lru_cache(maxsize=512)
+def _by_system(keys: tuple[str, ...]) -> FloatArray:
+    return np.array([SATELLITE_CLOCKS.get(k[0], 1.0) for k in keys])
 
 
 @lru_cache(maxsize=512)
@@ -172,6 +201,46 @@ def _code_factor(
 def _rate_factor(keys: tuple[str, ...], satellites: tuple[tuple[str, float, float], ...]) -> FloatArray:
     own = {sat: rate for sat, _, rate in satellites}
     return np.array([own.get(k[:3], 1.0) for k in keys])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A parameter of the noise model that a calibration fits.
+
+    Parameters
+    ----------
+    name : str
+        Field of `NoiseModel`.
+    low, high : float
+        The range it may take.
+    start : float, optional
+        Where the fit starts; None: where the model stands. A far start may end in a random walk of biases
+        that explains everything.
+    kind : str
+        ``"white"``: size of white noise of rows, ``"slow"``: size of errors that last; a white model has none
+        of these. ``""``: any other.
+    size : str
+        Of a correlation time the field that holds the size: it is scaled along, at equal drive.
+    rows : str
+        Whose errors it is the size of, ``"code"`` or ``"carrier"``, where a calibration shall raise them all
+        to bound the tails; ``""``: neither.
+    """
+
+    name: str
+    low: float
+    high: float
+    start: float | None = None
+    kind: Literal["white", "slow", ""] = ""
+    size: str = ""
+    rows: Literal["code", "carrier", ""] = ""
+
+
+@lru_cache(maxsize=512)
+def _carrier_factor(
+    keys: tuple[str, ...], glonass: float, satellites: tuple[tuple[str, float, float], ...]
+) -> FloatArray:
+    family = np.array([glonass if k[0] == "R" else 1.0 for k in keys])
+    return np.asarray(family * _rate_factor(keys, satellites))
 
 
 #: A white model: no correlated states; what the simulations of the literature assume.

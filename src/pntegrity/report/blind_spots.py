@@ -1,0 +1,113 @@
+"""What a filter and its noise model hide from every monitor, in words, with the figures of the model in
+use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pntegrity.protocols import Monitor
+from pntegrity.report.units import duration, length
+from pntegrity.sensors.noise import NoiseModel
+
+__all__ = ["blind_spots"]
+
+#: Over these times the growth of what walks is told, s.
+TIMES_S = (60.0, 600.0, 3600.0)
+
+
+def blind_spots(
+    estimator: str, noise: NoiseModel, motion: str = "white", monitors: Sequence[Monitor] = ()
+) -> tuple[str, ...]:
+    """Say what the noise model and the estimator hide from every monitor, with figures.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator.
+    noise : NoiseModel
+    motion : str
+        What the estimator knows of the motion.
+    monitors : sequence of Monitor
+        Those that run.
+    """
+    if estimator == "spp":
+        return (
+            "Every epoch stands alone: a fault is seen only by its contradiction to the other satellites of "
+            "that epoch.",
+        )
+    if estimator == "ppp":
+        return _precise(noise, motion, monitors)
+    return _code(noise)
+
+
+def _code(noise: NoiseModel) -> tuple[str, ...]:
+    spots = []
+    if noise.code_bias_m > 0.0:
+        rate = noise.code_bias_m * np.sqrt(2.0 / noise.code_bias_tau_s)
+        spots.append(
+            "A code error that was there when a satellite rose is taken for its bias (sigma "
+            f"{noise.code_bias_m:g} m): up to about {3.0 * noise.code_bias_m:.0f} m goes unseen. Slow growth "
+            "is "
+            f"followed by the bias state, which may walk {length(rate)} in 1 s and "
+            f"{length(rate * np.sqrt(60.0))} in 60 s."
+        )
+    if noise.code_multipath_m > 0.0:
+        spots.append(
+            f"Multipath is expected ({noise.code_multipath_m:g} m / sin(elevation) over "
+            f"{noise.code_multipath_tau_s:g} s): errors of that size and duration are not faults."
+        )
+    return (*spots, "An error that all satellites share is the receiver's clock, for every monitor.")
+
+
+def _precise(noise: NoiseModel, motion: str, monitors: Sequence[Monitor]) -> tuple[str, ...]:
+    spots = [_at_birth(noise), _growth(noise)]
+    blind = [m.name.upper() for m in monitors if getattr(m, "block", "") == "pos"]
+    if motion == "white" and blind:
+        spots.append(
+            f"{' and '.join(blind)} compare the position with its prediction. Under motion 'white' nothing "
+            "predicts it: every epoch forgets the position, and slow faults are seen by the other monitors "
+            "only. "
+            "Where the motion is known, tell it (--motion)."
+        )
+    return (
+        *spots,
+        "An error that all satellites share is the receiver's clock; one that a whole constellation shares "
+        "is "
+        "its inter-system bias, unless it grows faster than "
+        f"{length(3.0 * noise.isb_m * np.sqrt(60.0))} in 60 s.",
+        "A fault of the carrier alone and one of the whole satellite (orbit, clock) can hardly be told "
+        "apart, "
+        "as the code is too noisy: it is the satellite that is named, not the kind.",
+    )
+
+
+def _at_birth(noise: NoiseModel) -> str:
+    code = 3.0 * noise.code_white_m
+    text = (
+        "A carrier error that was there when its arc began is in the ambiguity, whatever its size. A "
+        "constant "
+        f"code error goes unseen up to about 3 sigma of the code, {length(code)} at the zenith and "
+        f"{length(2.0 * code)} at 30° elevation"
+    )
+    if noise.code_bias_m > 0.0:
+        return f"{text}, or of the satellite's code bias, {length(3.0 * noise.code_bias_m)} at the zenith."
+    if noise.glonass_code_bias_m > 0.0:
+        return f"{text}; with GLONASS up to 3 sigma of the satellite's code bias, {_glonass(noise)}."
+    return f"{text}."
+
+
+def _glonass(noise: NoiseModel) -> str:
+    return length(3.0 * noise.glonass_code_bias_m)
+
+
+def _growth(noise: NoiseModel) -> str:
+    sizes = [noise.ambiguity_m * np.sqrt(t) for t in TIMES_S]
+    grown = ", ".join(f"{length(s)} in {duration(t)}" for s, t in zip(sizes, TIMES_S, strict=True))
+    return (
+        f"Ambiguities walk (sigma {grown}), which carries slow errors of orbits, clocks and multipath: a "
+        "carrier "
+        "fault that grows no faster than about three times that is followed, not seen."
+    )

@@ -1,0 +1,40 @@
+"""Lengths and rates in words: in m, cm or mm, so that no digit is lost."""
+
+from __future__ import annotations
+
+__all__ = ["duration", "length", "rounded", "together", "unit"]
+
+
+def unit(largest_m: float) -> tuple[float, str]:
+    """Return by how much to multiply, and the unit in which numbers up to `largest_m` are told."""
+    size = abs(largest_m)
+    return (1.0, "m") if not size < 0.0995 else (100.0, "cm") if size >= 0.00995 else (1000.0, "mm")
+
+
+def length(value_m: float, per: str = "") -> str:
+    """Return ``39.9 m``, ``1.2 cm`` or ``0.67 mm``; `per` follows the unit (``"/s"``)."""
+    factor, name = unit(value_m)
+    return f"{rounded(value_m * factor, name)} {name}{per}"
+
+
+def together(*values_m: float) -> str:
+    """Return several lengths, ``1.06 and 1.43 m`` where one unit fits all, else ``9.0 cm and 0.26 m``."""
+    told = [length(v).split() for v in values_m]
+    if len({name for _, name in told}) == 1:
+        return f"{' and '.join(number for number, _ in told)} {told[0][1]}"
+    return " and ".join(map(" ".join, told))
+
+
+def rounded(value: float, unit_name: str) -> str:
+    """Return a number with as many digits as its unit deserves."""
+    size = abs(value)
+    if unit_name == "m":
+        return f"{value:.2f}" if size < 9.995 else f"{value:.1f}"
+    return f"{value:.1f}" if size >= 0.995 or not size else f"{value:#.2g}"
+
+
+def duration(seconds: float) -> str:
+    """Return ``30 s``, ``2.5 min`` or ``1 h``."""
+    if seconds < 120.0:
+        return f"{seconds:g} s"
+    return f"{seconds / 60.0:g} min" if seconds < 3600.0 else f"{seconds / 3600.0:g} h"

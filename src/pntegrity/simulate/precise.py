@@ -1,0 +1,180 @@
+"""A simulated receiver for precise positioning: satellites and a track in, ionosphere-free epochs out.
+
+What is common to prediction and observation (antennas, tides, wind-up) is left out of both. Ranges, mapping
+functions and elevations come from the code that the estimator uses; the errors from its `NoiseModel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pntegrity.physics.atmosphere import mapping_factors, zenith_delays_m
+from pntegrity.physics.frames import elevation_azimuth
+from pntegrity.physics.orbits import SatelliteStates
+from pntegrity.records import Epoch, FloatArray, Observation
+from pntegrity.sensors.gnss import C_MPS, geometry
+from pntegrity.sensors.noise import PPP, NoiseModel
+
+__all__ = ["PreciseReceiver", "States", "simulate_precise"]
+
+States = Callable[[npt.NDArray[np.str_], npt.NDArray[np.int64], FloatArray], SatelliteStates]
+"""Gives satellites at the emission of what was received: names, time tags, pseudoranges."""
+PAIRS = {"G": "1W+2W", "R": "1P+2P", "E": "1C+5Q", "C": "2I+6I", "J": "1C+2L"}
+CN0_DBHZ = 45.0
+
+
+@dataclass(frozen=True)
+class PreciseReceiver:
+    """What the simulated receiver is like.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        White noise of code and carrier, code biases, walks of ambiguities and of the wet delay.
+    mask_rad : float
+        Satellites below this elevation are not tracked.
+    clock_mps : float
+        Random walk of the clock, m/sqrt(s).
+    wet_m : float
+        Zenith wet delay at the first epoch.
+    clock_interval_s : float
+        How far apart the samples of the satellites' clocks are: between them clocks walk
+        (`NoiseModel.satellite_clock_m`) and predictions are linear. Zero: clocks are exact.
+    """
+
+    noise: NoiseModel = field(default_factory=lambda: PPP)
+    mask_rad: float = float(np.deg2rad(7.0))
+    clock_mps: float = 3.0
+    wet_m: float = 0.15
+    clock_interval_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """Errors of each epoch and satellite, (n, m), and of the receiver, (n,)."""
+
+    code_m: FloatArray
+    carrier_m: FloatArray
+    slow_m: FloatArray
+    ambiguity_m: FloatArray
+    clock_m: FloatArray
+    wet_m: FloatArray
+    satellite_m: FloatArray
+    node_s: FloatArray
+
+
+def simulate_precise(
+    states: States, sats: Sequence[str], t_ns: npt.NDArray[np.int64], track_m: FloatArray,
+    receiver: PreciseReceiver, rng: np.random.Generator,
+) -> tuple[Epoch, ...]:  # fmt: skip
+    """Return what a receiver on a track would hand to a precise estimator.
+
+    Parameters
+    ----------
+    states : callable
+        Satellite positions and clocks (`physics.precise.precise_states`, `physics.orbits.satellite_states`).
+    sats : sequence of str
+        Satellites, in view or not.
+    t_ns : ndarray of int64, shape (n,)
+    track_m : ndarray, shape (n, 3)
+        True positions of the antenna.
+    receiver : PreciseReceiver
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    tuple of Epoch
+        Observations ``"code"`` and ``"carrier"``, as `physics.precise_epochs` gives them.
+    """
+    errors = _errors(receiver, tuple(sats), t_ns, rng)
+    names = np.array(sats, dtype="<U3")
+    travel = np.full((len(t_ns), len(sats)), 0.075 * C_MPS)
+    for _ in range(3):  # a pass shrinks the error by the speed of satellites over that of light
+        found = states(np.tile(names, len(t_ns)), np.repeat(t_ns, len(sats)), travel.ravel())
+        position = found.position_m.reshape(len(t_ns), len(sats), 3)
+        travel = np.stack([geometry(x, sv).range_m for x, sv in zip(track_m, position, strict=True)])
+        travel = np.where(np.isfinite(travel), travel, 0.075 * C_MPS)
+    return tuple(
+        _epoch(k, int(t), track_m[k], names, found, errors, receiver) for k, t in enumerate(t_ns.tolist())
+    )
+
+
+def _errors(
+    receiver: PreciseReceiver, sats: tuple[str, ...], t_ns: npt.NDArray[np.int64], rng: np.random.Generator
+) -> _Errors:
+    noise, n, m = receiver.noise, len(t_ns), len(sats)
+    root = np.sqrt(np.diff(t_ns, prepend=t_ns[:1]) * 1e-9)
+
+    def walk(columns: int, size: float) -> FloatArray:
+        return np.cumsum(size * root[:, None] * rng.standard_normal((n, columns)), axis=0)
+
+    clock, wet = walk(1, receiver.clock_mps)[:, 0], walk(1, noise.zwd_walk_m)[:, 0]
+    whole = 20.0 * rng.standard_normal(m)
+    return _Errors(
+        noise.code_white_m * rng.standard_normal((n, m)), noise.carrier_m * rng.standard_normal((n, m)),
+        np.tile(rng.standard_normal(m), (n, 1)), whole + walk(m, noise.ambiguity_m), 500.0 + clock,
+        receiver.wet_m + wet, *_bridges(receiver, sats, t_ns, rng),
+    )  # fmt: skip
+
+
+def _bridges(
+    receiver: PreciseReceiver, sats: tuple[str, ...], t_ns: npt.NDArray[np.int64], rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return what linear interpolation leaves of the satellites' clocks (n, m), and the times from and to
+    their samples (n, 2).
+    """
+    step = round(receiver.clock_interval_s * 1e9)
+    if not step:
+        return np.zeros((len(t_ns), len(sats))), np.zeros((len(t_ns), 2))
+    nodes = np.arange(t_ns[0] // step, t_ns[-1] // step + 2) * step
+    grid = np.union1d(nodes, t_ns)
+    size = receiver.noise.satellite_clock_m * receiver.noise.satellite_clock_factor(sats)
+    steps = np.sqrt(np.diff(grid, prepend=grid[:1]) * 1e-9)[:, None]
+    walk = np.cumsum(steps * rng.standard_normal((len(grid), len(sats))), axis=0) * size
+    at = np.searchsorted(grid, nodes)
+    line = np.stack([np.interp(grid, nodes, w[at]) for w in walk.T], axis=1)
+    since = (t_ns % step) * 1e-9
+    apart = np.stack([since, receiver.clock_interval_s - since], axis=1)
+    return (walk - line)[np.searchsorted(grid, t_ns)], apart
+
+
+def _epoch(
+    k: int, t_ns: int, place_m: FloatArray, names: npt.NDArray[np.str_], found: SatelliteStates,
+    errors: _Errors,
+    receiver: PreciseReceiver,
+) -> Epoch:  # fmt: skip
+    """Return one epoch: the satellites above the mask."""
+    row = slice(k * len(names), (k + 1) * len(names))
+    sv, clk, ok = found.position_m[row], found.clock_m[row], found.ok[row]
+    g = geometry(place_m, np.where(ok[:, None], sv, 2.0 * place_m))
+    el, _ = elevation_azimuth(place_m, g.los)
+    seen = np.flatnonzero(ok & (el >= receiver.mask_rad))
+    keys = [f"{names[i]}:C{PAIRS[names[i][0]].replace('+', '+C')}" for i in seen]
+    dry, wet = mapping_factors(place_m, el[seen], t_ns)
+    air = zenith_delays_m(place_m)[0] * dry + errors.wet_m[k] * wet
+    path = g.range_m[seen] - clk[seen] - errors.satellite_m[k, seen] + errors.clock_m[k] + air
+    noise, cn0 = receiver.noise, np.full(len(seen), CN0_DBHZ)
+    scale = noise.scale(el[seen], cn0)
+    slow = noise.code_bias_m * noise.obliquity(el[seen]) * noise.bias_factor(tuple(keys))
+    glonass = np.array([x[0] == "R" for x in keys]) * noise.glonass_code_bias_m
+    code = errors.code_m[k, seen] * scale * noise.code_factor(tuple(keys))
+    code = code + errors.slow_m[k, seen] * np.hypot(slow, glonass)
+    carrier = errors.carrier_m[k, seen] * scale + errors.ambiguity_m[k, seen]
+    aux = {
+        "sv_pos_m": sv[seen], "sv_vel_mps": found.velocity_mps[row][seen], "sv_clk_m": clk[seen],
+        "sv_clk_rate_mps": found.clock_rate_mps[row][seen], "sv_var_m2": found.variance_m2[row][seen],
+        "freq_hz": np.full(len(seen), 1.57542e9), "cn0_dbhz": cn0, "iono_factor": np.zeros(len(seen)),
+        "clk_node_s": np.tile(errors.node_s[k], (len(seen), 1)),
+    }  # fmt: skip
+    phases = tuple(key.replace(":C", ":L").replace("+C", "+L") for key in keys)
+    return Epoch(
+        t_ns,
+        (
+            Observation("code", t_ns, tuple(keys), path + code, None, aux),
+            Observation("carrier", t_ns, phases, path + carrier, None, aux),
+        ),
+    )
