@@ -90,11 +90,15 @@ def esbc(shared, tmp_path, pnt):
     return Case(shared, tmp_path, pnt)
 
 
-@pytest.fixture(scope="module")
-def plain(shared, tmp_path_factory):
-    from conftest import call
+PLAIN: list[Done] = []
 
-    return Case(shared, tmp_path_factory.mktemp("plain"), call)()
+
+@pytest.fixture
+def plain(shared, tmp_path_factory, pnt):
+    """The log as it is, run once."""
+    if not PLAIN:
+        PLAIN.append(Case(shared, tmp_path_factory.mktemp("plain"), pnt)())
+    return PLAIN[0]
 
 
 def near(done, plain, metres=0.3):

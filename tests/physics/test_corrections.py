@@ -139,8 +139,8 @@ def test_mapping_agrees_with_rtklibs_niell(el_deg, day):
     wet = rtk.Arr1Ddouble(1)
     dry = rtk.tropmapf(gps_time(t), llh, filled(rtk.Arr1Ddouble, [0.3, np.radians(el_deg)]), wet)
     ours = mapping_factors(ESBC, np.array([np.radians(el_deg)]), t)
-    assert ours[0][0] == pytest.approx(dry, rel=2e-4)  # measured MAPF
-    assert ours[1][0] == pytest.approx(wet[0], rel=2e-4)
+    assert ours[0][0] == pytest.approx(dry, rel=1e-6)  # measured 9e-9
+    assert ours[1][0] == pytest.approx(wet[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("height_m", [0.0, 300.0, 2500.0])
@@ -150,8 +150,8 @@ def test_zenith_delays_are_rtklibs_saastamoinen(height_m):
     dry = rtk.tropmodel(gps_time(T0), filled(rtk.Arr1Ddouble, llh), up, 0.0)
     both = rtk.tropmodel(gps_time(T0), filled(rtk.Arr1Ddouble, llh), up, 0.5)
     ours = zenith_delays_m(place)
-    assert ours[0] == pytest.approx(dry, abs=2e-3)  # measured ZHD
-    assert ours[1] == pytest.approx(both - dry, abs=5e-3)
+    assert ours[0] == pytest.approx(dry, abs=1e-6)  # measured 0
+    assert ours[1] == pytest.approx(both - dry, abs=2e-4)  # measured 0.05 mm
 
 
 def test_below_three_degrees_and_in_no_place_nothing_breaks():

@@ -39,6 +39,13 @@ def test_families_and_calibrated_satellites_have_their_factors():
     np.testing.assert_allclose(noise.rate_factor(keys), [0.5, 1.0, 1.0, 1.0, 1.0, 1.0])
 
 
+def test_carriers_of_glonass_and_of_calibrated_satellites_are_noisier():
+    noise = NoiseModel(satellites=(("G05", 3.0, 0.5), ("R02", 1.0, 2.0)), glonass_carrier_factor=1.5)
+    np.testing.assert_allclose(
+        noise.carrier_factor(("G05:L1C", "G06:L1C", "R01:L1C", "R02:L1C")), [0.5, 1.0, 1.5, 3.0]
+    )
+
+
 def test_the_snapshot_takes_everything_together():
     noise = NoiseModel(code_white_m=0.3, code_multipath_m=0.4, code_bias_m=1.2)
     assert noise.snapshot_sigma_m(np.ones(1), np.ones(1))[0] == pytest.approx(1.3)

@@ -102,10 +102,7 @@ def transition(
     walk = np.zeros(n)
     for block, size in _walks(noise):
         walk[new.block(block)] = size**2 * dt
-    bias = new.block("bias")
-    kept = np.exp(-dt / noise.code_bias_tau_s)
-    walk[bias] = lasting[bias] * (1.0 - kept**2)
-    F[bias] *= kept
+    _satellite_errors(F, walk, new, rows, dt, noise)
     walk[born] = lasting[born]
     clock = new.block("clk")
     F[clock], walk[clock] = 0.0, CLOCK_M**2
@@ -113,6 +110,25 @@ def transition(
     Q = np.diag(walk)
     _motion(F, Q, dt, options)
     return F, Q
+
+
+def _satellite_errors(
+    F: FloatArray, walk: FloatArray, layout: Layout, rows: PreciseRows, dt: float, noise: NoiseModel
+) -> None:
+    """Write the step of ambiguities, which walk more towards the horizon, and of code biases.
+
+    A GLONASS bias has a constant part that does not decay: all of it walks as the other part would.
+    """
+    at = columns(layout, rows.names.ambiguity)
+    arc = at >= 0
+    size = noise.ambiguity_m * noise.carrier_factor(rows.keys) / np.sin(np.maximum(rows.el_rad, 0.05))
+    walk[at[arc]] = size[arc] ** 2 * dt
+    at = columns(layout, rows.names.bias)
+    here = at >= 0
+    kept = np.exp(-dt / noise.code_bias_tau_s)
+    walk[at[here]] = (noise.code_bias_m * rows.slow[here]) ** 2 * (1.0 - kept**2)
+    constant = rows.names.glonass[here] & (noise.glonass_code_bias_m > 0.0)
+    F[at[here]] *= np.where(constant, 1.0, kept)[:, None]
 
 
 def satellite_clock_variance(rows: PreciseRows, noise: NoiseModel) -> FloatArray:
@@ -142,7 +158,6 @@ def _satellite_clocks(
 def _walks(noise: NoiseModel) -> tuple[tuple[str, float], ...]:
     return (
         ("isb", noise.isb_m), ("zwd", noise.zwd_walk_m), ("grad", noise.gradient_walk_m),
-        ("amb", noise.ambiguity_m),
     )  # fmt: skip
 
 

@@ -59,7 +59,7 @@ def _stays(
             after[n] = side * (wide_lane_m[k] - mean)
             n += 1
         k += 1
-    return n > 0 and np.median(after[:n]) > STAYS * limit
+    return n > 0 and bool(np.median(after[:n]) > STAYS * limit)
 
 
 @njit(cache=True, nogil=True)
