@@ -12,7 +12,7 @@ C = 299_792_458.0
 F1, F2 = 1575.42e6, 1227.60e6
 L1, L2 = C / F1, C / F2
 WIDE = C / (F1 - F2)
-LIMITS = {"max_gap_s": 130.0, "gf_limit_m": 0.03, "gf_rate_mps": 0.02 / 30.0, "step_limit_m": 0.5}
+LIMITS = {"max_gap_s": 130.0, "gf_limit_m": 0.05, "gf_rate_mps": 5e-5, "step_limit_m": 0.5}
 
 
 class Series:
@@ -64,11 +64,11 @@ class Series:
 )
 def test_a_slip_is_found_where_it_is(n1, n2, why, step_s):
     for seed in range(20):
-        found = Series(seed=seed, step_s=step_s, code_m=0.15, carrier_m=0.0005).slip(40, n1, n2).starts()
+        found = Series(seed=seed, step_s=step_s, code_m=0.15, carrier_m=0.0003).slip(40, n1, n2).starts()
         assert found == {0: slips.FIRST, 40: why}, seed
 
 
-@pytest.mark.parametrize(("code_m", "least", "most"), [(0.1, 85, 100), (0.3, 10, 45)])
+@pytest.mark.parametrize(("code_m", "least", "most"), [(0.1, 85, 100), (0.3, 0, 20)])
 def test_one_cycle_of_the_wide_lane_takes_good_codes(code_m, least, most):
     # 5 and 4 cycles: 2.5 cm
     series = (Series(seed=k, code_m=code_m, carrier_m=0.0005).slip(40, 5, 4) for k in range(100))
@@ -96,11 +96,16 @@ def test_a_fast_ionosphere_is_not_a_slip_and_a_slip_in_it_is_found():
         assert found == {0: slips.FIRST, 30: slips.GEOMETRY_FREE}
 
 
-def test_multipath_of_one_epoch_is_not_a_slip_of_the_wide_lane():
+def test_only_the_past_decides():
+    # multipath of one epoch costs an arc, there and back: what comes later is not known yet
     one = Series(code_m=0.1)
-    one.wide[30] += 3.0 * WIDE
-    one.wide[50:52] -= 2.0 * WIDE
-    assert one.starts() == {0: slips.FIRST}
+    one.wide[30] += 4.0 * WIDE
+    found = one.starts()
+    assert found == {0: slips.FIRST, 30: slips.WIDE_LANE, 31: slips.WIDE_LANE}
+    for n in (31, 40, 60):
+        seen = Series(code_m=0.1)
+        seen.wide[30] += 4.0 * WIDE
+        assert seen.keep(np.arange(n)).starts() == {k: v for k, v in found.items() if k < n}
 
 
 def test_the_wide_lane_forgets_what_was_before_a_slip():
@@ -155,10 +160,12 @@ def test_one_frequency_is_tested_by_its_doppler():
     assert one.starts() == {0: slips.FIRST}
 
 
-def test_two_frequencies_do_not_need_the_doppler():
-    one = Series(step_s=1.0)
-    one.step[30] = 5.0
-    assert one.starts() == {0: slips.FIRST}
+def test_the_doppler_sees_what_two_frequencies_hide():
+    # 4 and 3 cycles of E1 and E5a: 0.3 cm geometry-free, one wide lane under codes of 1 m, 76 cm of carrier
+    one = Series(step_s=1.0, code_m=1.0)
+    one.step = 0.02 * np.random.default_rng(1).standard_normal(60)
+    one.step[30] += 0.76
+    assert one.starts() == {0: slips.FIRST, 30: slips.TIME_DIFFERENCE}
 
 
 def test_no_rows():

@@ -33,16 +33,15 @@ class SlipLimits:
     max_gap_s : float
         A longer gap ends an arc.
     geometry_free_m, geometry_free_mps : float
-        Change of the geometry-free combination: a constant and a part that grows with time (ionosphere).
-        Together 5 cm at 30 s: with 2 cm healthy arcs are cut, and one cycle on both carriers of GPS is 5.4
-        cm.
+        Change of the geometry-free combination: a constant and a part that grows with time. One cycle on both
+        carriers of GPS is 5.4 cm; with 3 cm a receiver on the road loses one arc in thirty epochs.
     doppler_m : float
-        Change of a single carrier against its Doppler.
+        Change of the first carrier against its Doppler.
     """
 
     max_gap_s: float = 130.0
-    geometry_free_m: float = 0.03
-    geometry_free_mps: float = 0.02 / 30.0
+    geometry_free_m: float = 0.05
+    geometry_free_mps: float = 5e-5
     doppler_m: float = 0.5
 
 

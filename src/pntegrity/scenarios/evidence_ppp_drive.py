@@ -31,8 +31,13 @@ __all__ = ["drive", "van"]
 #: GINav's own kinematic PPP of the van, RMS east, north, up, m.
 GINAV_M = (0.23, 0.14, 0.41)
 GINAV_FILE = "ginav_result/cpt0870_PPP_K.pos.gz"
-#: Errors of the simulated van are those of the default model times this; clocks are sampled every 15 min.
-VAN_SCALE, VAN_CLOCK_S, VAN_SEEDS = 1.3, 900.0, 5
+#: Errors of the simulated van: carrier and code of the pair at the zenith, a code bias that lasts, clocks
+#: sampled every 15 min.
+VAN_NOISE = replace(
+    PPP, carrier_m=0.002, ambiguity_m=2e-4, code_white_m=0.33, code_bias_m=0.33, code_bias_tau_s=86400.0,
+    satellite_clock_m=0.0017,
+)  # fmt: skip
+VAN_CLOCK_S, VAN_SEEDS = 900.0, 10
 
 
 def drive(data: Path) -> list[Row]:
@@ -122,10 +127,7 @@ def van(data: Path) -> list[Row]:
     if not (data / VAN).is_dir():
         return skipped("ppp-van", f"{VAN} is not here")
     drive_ = real_drive(data, "GR")
-    noise = replace(
-        PPP, carrier_m=VAN_SCALE * PPP.carrier_m, code_white_m=VAN_SCALE * 0.5, code_bias_m=VAN_SCALE * 0.5,
-        satellite_clock_m=VAN_SCALE * PPP.satellite_clock_m,
-    )  # fmt: skip
+    noise = VAN_NOISE
     receiver = PreciseReceiver(noise, mask_rad=float(np.deg2rad(10.0)), clock_interval_s=VAN_CLOCK_S)
     options = GnssOptions(noise=noise, max_gap_s=Ppp.max_gap_s)
     turn = enu_rotation(drive_.track_m[0])
@@ -159,8 +161,6 @@ def _van_rows(series: FloatArray, ginav: FloatArray) -> list[Row]:
             size = float(np.linalg.norm(ours) / np.linalg.norm(theirs))
             ok = bool(np.all(np.abs(theirs - np.array(GINAV_M)) < 0.006)) and abs(size - 1.0) < 0.2
         measured = " / ".join(f"{v:.2f}" for v in ours)
-        note = (
-            f"{len(series)} seeds; errors of the default model times {VAN_SCALE:g}, clock samples of 15 min"
-        )
+        note = f"{len(series)} seeds; clock samples of 15 min, white carrier {1e3 * VAN_NOISE.carrier_m:g} mm"
         out.append(row("ppp-van", f"RMS E N U, {label}, m", f"GINav: {text}", measured, ok, note=note))
     return out

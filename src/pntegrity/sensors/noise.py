@@ -246,7 +246,8 @@ def _carrier_factor(
 #: A white model: no correlated states; what the simulations of the literature assume.
 WHITE = NoiseModel(code_white_m=1.0, code_multipath_m=0.0, code_bias_m=0.0, doppler_mps=0.1, name="white")
 
-#: What precise point positioning starts from: ionosphere-free code and carrier of a geodetic receiver, a little
+#: What precise point positioning starts from: ionosphere-free code and carrier of a geodetic receiver, a
+#: little
 #: above what two of them show.
 PPP = NoiseModel(
     code_white_m=0.8, code_multipath_m=0.0, code_bias_m=0.9, code_bias_tau_s=300.0, glonass_code_bias_m=4.0,
