@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pntegrity.records import Update, Verdict
     from pntegrity.watch import Watch
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["Aime", "Glr", "Pipeline", "Rctm", "Sraime", "Srctm", "Update", "Verdict", "Watch", "__version__"]
 
 _HOME = {

@@ -37,8 +37,8 @@ class Ppp:
     (`GnssOptions.motion`). The clock is white: its mean is taken from the epoch's code, so is that of a
     constellation seen first and that of an ambiguity born; each counts as consumed. Further constellations
     have an inter-system bias. The wet delay and its gradients walk; ambiguities walk a little, which carries
-    the slow errors of orbits, clocks and multipath; GLONASS satellites have a code bias each. An arc that
-    ends takes its ambiguity with it.
+    the slow errors of orbits, clocks and multipath; satellites have a code bias each, which those of GLONASS
+    keep. An arc that ends takes its ambiguity with it.
 
     Rows are ionosphere-free pairs where the epochs hold them. A satellite that is left out keeps an ambiguity
     that is born at the epoch of its exclusion: its carrier can show that it goes on, and needs no other
@@ -54,8 +54,9 @@ class Ppp:
     monitoring: ClassVar[dict[str, dict[str, Any]]] = {
         "srctm": {"block": "pos+amb"}, "aime": {"window": 10}, "sraime": {"block": "pos+amb", "window": 10},
     }  # fmt: skip
-    policy: ClassVar[dict[str, Any]] = {"proof_s": 10.0}
+    policy: ClassVar[dict[str, Any]] = {"proof_s": 20.0, "proof_epochs": 20}
     settle_s: ClassVar[float] = 3600.0
+    clip_sigma: ClassVar[float] = 4.0
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("carrier_m", 1e-4, 0.1, 1.5e-3, "white", rows="carrier"),
         Fitted("ambiguity_m", 1e-6, 0.01, 2e-4, "slow", rows="carrier"),

@@ -31,6 +31,7 @@ class Spp:
     monitoring: ClassVar[dict[str, dict[str, Any]]] = {}
     policy: ClassVar[dict[str, Any]] = {}
     settle_s: ClassVar[float] = 0.0
+    clip_sigma: ClassVar[float] = np.inf
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("code_white_m", 0.005, 30.0, 0.3, "white"),
         Fitted("code_bias_m", 0.01, 20.0, 1.0, "slow"),

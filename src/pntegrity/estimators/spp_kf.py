@@ -43,6 +43,7 @@ class SppKf:
     monitoring: ClassVar[dict[str, dict[str, Any]]] = {}
     policy: ClassVar[dict[str, Any]] = {}
     settle_s: ClassVar[float] = 30.0
+    clip_sigma: ClassVar[float] = np.inf
     fitted: ClassVar[tuple[Fitted, ...]] = (  # starts: a geodetic receiver
         Fitted("doppler_mps", 1e-3, 5.0, 0.01),
         Fitted("code_multipath_m", 0.01, 30.0, 0.08, "slow"),

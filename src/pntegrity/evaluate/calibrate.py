@@ -42,6 +42,8 @@ SETTLE = 30
 #: Lengths of the means over which a satellite's innovations are compared with white ones, epochs, and how
 #: many such means there must be.
 SPANS, MEANS = (1, 5, 10, 20), 5
+#: How much larger than the model's the white noise is taken when gross errors are looked for.
+GATE = 4.0
 #: Innovations that a row must have for a factor of its own.
 ENOUGH = 60
 
@@ -180,8 +182,18 @@ class _Part:
     def of(
         epochs: Sequence[Epoch], options: GnssOptions, estimator: type[Any], monitors: Sequence[Monitor]
     ) -> _Part:
-        """Leave out what a run of the model it starts from leaves out: gross errors must not become noise."""
-        pipeline = Pipeline(estimator(options), [m for m in monitors if m.name == "rctm"], Policy(p_fa=1e-6))
+        """Leave out what a run of the model it starts from leaves out: gross errors must not become noise.
+
+        Where the model is of a better receiver than this may be, its white noise is taken larger for that.
+        """
+        white = {
+            p.name: GATE * getattr(options.noise, p.name)
+            for p in estimator.fitted
+            if p.rows and p.kind == "white"
+        }
+        gate = replace(options, noise=replace(options.noise, **white))
+        tests = [m for m in monitors if m.name == "rctm"]
+        pipeline = Pipeline(estimator(gate), tests, Policy(p_fa=1e-6, **estimator.policy))
         left_out = [frozenset(pipeline.push(e).update.excluded) for e in epochs]
         return _Part(epochs, options, estimator, left_out, _settling(epochs, estimator))
 
@@ -196,14 +208,17 @@ class _Part:
     def cost(self, noise: NoiseModel) -> float:
         """Return ``-2 log L`` of a model's innovations after the filter has settled."""
         try:
-            total = sum(_minus_twice_log(u) for u in islice(self.stream(noise), self.settle, None))
+            after, clip = islice(self.stream(noise), self.settle, None), self.estimator.clip_sigma
+            total = sum(_minus_twice_log(u, clip) for u in after)
         except np.linalg.LinAlgError:
             return np.inf
         return total if np.isfinite(total) else np.inf
 
 
-def _minus_twice_log(update: Update) -> float:
-    return float(update.white @ update.white + 2.0 * np.log(np.diagonal(update.L)).sum())
+def _minus_twice_log(update: Update, clip_sigma: float) -> float:
+    """Return ``-2 log L`` of an epoch; whitened innovations beyond the limit count as if they were there."""
+    inside = np.minimum(np.abs(update.white), clip_sigma)
+    return float(inside @ inside + 2.0 * np.log(np.diagonal(update.L)).sum())
 
 
 def _settling(epochs: Sequence[Epoch], estimator: type[Any]) -> int:
@@ -323,13 +338,18 @@ def _bounding(part: _Part, noise: NoiseModel) -> NoiseModel:
 
 
 def _bound(series: Sequence[FloatArray]) -> float:
-    """Return the least factor of a unit normal that has all that is beyond one sigma, singly and in means."""
+    """Return the least factor of a unit normal that bounds what is beyond one sigma, singly and in means.
+
+    The outermost values, beyond three sigma of a normal as large, are left to the threshold factors: a single
+    one would decide.
+    """
     worst = 1.0
     for n in SPANS:
         pooled = np.concatenate([_means(x, n) for x in series if len(x) >= MEANS * n] or [np.zeros(0)])
         found = np.sort(np.abs(pooled))[::-1]
         normal = ndtri(1.0 - (np.arange(len(found)) + 0.5) / (2.0 * max(len(found), 1)))
-        worst = max(worst, float((found / normal)[normal > 1.0].max(initial=1.0)))
+        inner = (normal > 1.0) & (normal < 3.0)
+        worst = max(worst, float((found / normal)[inner].max(initial=1.0)))
     return worst
 
 

@@ -112,10 +112,7 @@ def name_suspects(window: Window, form: Form, most: int = 4) -> tuple[Suspect, .
 def best_of_groups(
     signatures: tuple[Signature, ...], explained: FloatArray, size: FloatArray, onset_ns: list[int], most: int
 ) -> tuple[Suspect, ...]:
-    """Return the best signature of each set of groups as suspects, the most likely first.
-
-    A family stands behind a group only where it explains clearly more, since it contains the group's rows.
-    """
+    """Return the best signature of each set of groups as suspects, the most likely first."""
     best: dict[tuple[str, ...], Suspect] = {}
     for i in np.argsort(-explained, kind="stable"):
         s = signatures[i]

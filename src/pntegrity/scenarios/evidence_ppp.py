@@ -17,7 +17,8 @@ import numpy as np
 from pntegrity.estimators.ppp import Ppp
 from pntegrity.evaluate.calibrate import calibrate
 from pntegrity.evaluate.intervals import binomial_interval
-from pntegrity.evaluate.whiteness import whiteness
+from pntegrity.evaluate.whiteness import beside_others, whiteness
+from pntegrity.physics.time import to_iso
 from pntegrity.records import FloatArray, Update
 from pntegrity.scenarios._ppp_logs import (
     CARD,
@@ -129,11 +130,13 @@ def _clean(site: PreciseSite, data: Path) -> list[Row]:
         updates = site.updates(noise)
         for monitor in precise_monitors(P_FA, noise):
             ratio = ratios(monitor, updates)[half:]
+            worst = updates[half + int(np.nanargmax(ratio))]
             tested, alarms = int(np.isfinite(ratio).sum()), int((ratio > 1.0).sum())
             strict = name == "calibrated"
             note = f"of {tested} epochs; largest statistic {np.nanmax(ratio):.2f} of the threshold"
             factor = noise.factor(monitor.name)
             note += f", which the calibration raised by {factor:.2f}" if factor > 1.0 else ""
+            note += f"; {_largest(worst)}" if alarms else ""
             quantity = f"{site.label}: alarms of exact {monitor.name} at p_fa {P_FA:g}, {name}"
             interval = binomial_interval(alarms, max(tested, 1))
             ok = alarms == 0 if strict else None
@@ -141,6 +144,13 @@ def _clean(site: PreciseSite, data: Path) -> list[Row]:
             out.append(row("ppp-clean", quantity, must, alarms, ok, interval=interval, note=note))
         out += _whiteness(site, name, updates[half:])
     return out
+
+
+def _largest(update: Update) -> str:
+    """Say which row of an epoch stands out most."""
+    each = np.abs(beside_others(update))
+    i = int(each.argmax())
+    return f"at {to_iso(update.t_ns)[11:19]} {update.keys[i]} is {each[i]:.0f} sigma off its neighbours"
 
 
 def _whiteness(site: PreciseSite, name: str, updates: Sequence[Update]) -> list[Row]:

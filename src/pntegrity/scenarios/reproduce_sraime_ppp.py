@@ -1,10 +1,10 @@
 """SRAIME's PPP experiment (Table 3) regenerated: alarms, real false-alarm rates, what could be seen.
 
 The paper prints neither noise nor motion model, nor which satellite and frequency carries the fault. So the
-fault goes to each satellite in turn, with many seeds, under two noise models (that of GINav, which the paper
-ran, and this package's), five motion models and both readings of the frequency. The receiver's observations
-of that drive are not public: they are simulated, on the real track under the real orbits where the data
-folder is given.
+fault goes to each satellite in turn, with many seeds, under three noise models (that of GINav, which the
+paper ran, the same with its term for coarse clocks, and this package's), five motion models and both readings
+of the frequency. The receiver's observations of that drive are not public: they are simulated, on the real
+track under the real orbits where the data folder is given.
 
 References
 ----------
