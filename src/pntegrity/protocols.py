@@ -19,7 +19,7 @@ class Estimator(Protocol):
     starts from; ``max_gap_s``, after which it starts anew; ``monitoring``, options of monitors by their
     names; ``policy``, fields of the exclusion policy;
     ``fitted``, ``settle_s`` and ``clip_sigma``, what a calibration may vary, after how long it looks, and the
-    size beyond which an innovation counts no more (cycle slips that nobody saw).
+    size beyond which innovations count linearly (cycle slips that nobody saw).
     """
 
     def predict(self, state: State, epoch: Epoch) -> Prior:

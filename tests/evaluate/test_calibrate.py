@@ -35,6 +35,8 @@ class Level:
 
     default_noise: ClassVar[NoiseModel] = NoiseModel()
     settle_s: ClassVar[float] = 40.0
+    clip_sigma: ClassVar[float] = np.inf
+    policy: ClassVar[dict[str, float]] = {}
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("code_white_m", 0.01, 30.0, 0.2, "white"),
         Fitted("carrier_m", 1e-3, 1.0, 0.03, "white"),

@@ -16,14 +16,14 @@ FOLDER = "esbc-static-2020177"
 
 @pytest.fixture(scope="module")
 def config(shared: Path) -> RunConfig:
-    """The first 200 epochs of ESBC, GPS."""
+    """The first 240 epochs of ESBC, GPS and GLONASS."""
     folder, antennas = shared / FOLDER, shared / "antex" / "igs14_sats_only.atx.gz"
     if not folder.is_dir() or not antennas.is_file():
         pytest.skip(f"{FOLDER} or the antennas are not in {shared}")
     values = {
         "obs": folder / "ESBC00DNK_R_20201770000_06H_30S_MO.rnx.gz",
         "sp3": tuple(sorted(folder.glob("*ORB.SP3.gz"))), "clk": tuple(folder.glob("*CLK.CLK.gz")),
-        "antex": (antennas,), "estimator": "ppp", "systems": "G", "end": "5970",
+        "antex": (antennas,), "estimator": "ppp", "systems": "GR", "end": "7170",
     }  # fmt: skip
     return make_config(values)
 

@@ -216,9 +216,13 @@ class _Part:
 
 
 def _minus_twice_log(update: Update, clip_sigma: float) -> float:
-    """Return ``-2 log L`` of an epoch; whitened innovations beyond the limit count as if they were there."""
-    inside = np.minimum(np.abs(update.white), clip_sigma)
-    return float(inside @ inside + 2.0 * np.log(np.diagonal(update.L)).sum())
+    """Return ``-2 log L`` of an epoch; beyond the limit whitened innovations count linearly (Huber's
+    cost).
+    """
+    size = np.abs(update.white)
+    inside = np.minimum(size, clip_sigma)
+    beyond = 0.0 if np.isinf(clip_sigma) else 2.0 * clip_sigma * float((size - inside).sum())
+    return float(inside @ inside) + beyond + 2.0 * float(np.log(np.diagonal(update.L)).sum())
 
 
 def _settling(epochs: Sequence[Epoch], estimator: type[Any]) -> int:
@@ -340,8 +344,8 @@ def _bounding(part: _Part, noise: NoiseModel) -> NoiseModel:
 def _bound(series: Sequence[FloatArray]) -> float:
     """Return the least factor of a unit normal that bounds what is beyond one sigma, singly and in means.
 
-    The outermost values, beyond three sigma of a normal as large, are left to the threshold factors: a single
-    one would decide.
+    The outermost values, where a normal sample of that size is beyond 3 sigma, are left to the threshold
+    factors: a single one would decide.
     """
     worst = 1.0
     for n in SPANS:

@@ -18,6 +18,7 @@ from pntegrity.physics.orbits import SatelliteStates
 from pntegrity.records import Epoch, FloatArray, Observation
 from pntegrity.sensors.gnss import C_MPS, geometry
 from pntegrity.sensors.noise import PPP, NoiseModel
+from pntegrity.simulate.receiver import gauss_markov
 
 __all__ = ["PreciseReceiver", "States", "simulate_precise"]
 
@@ -55,12 +56,10 @@ class PreciseReceiver:
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """Errors of each epoch and satellite, (n, m), and of the receiver, (n,)."""
+    """Errors of each epoch and satellite, (n, m), and of the receiver, (n,); node times (n, 2)."""
 
     code_m: FloatArray
     carrier_m: FloatArray
-    slow_m: FloatArray
-    ambiguity_m: FloatArray
     clock_m: FloatArray
     wet_m: FloatArray
     satellite_m: FloatArray
@@ -90,7 +89,6 @@ def simulate_precise(
     tuple of Epoch
         Observations ``"code"`` and ``"carrier"``, as `physics.precise_epochs` gives them.
     """
-    errors = _errors(receiver, tuple(sats), t_ns, rng)
     names = np.array(sats, dtype="<U3")
     travel = np.full((len(t_ns), len(sats)), 0.075 * C_MPS)
     for _ in range(3):  # a pass shrinks the error by the speed of satellites over that of light
@@ -98,26 +96,45 @@ def simulate_precise(
         position = found.position_m.reshape(len(t_ns), len(sats), 3)
         travel = np.stack([geometry(x, sv).range_m for x, sv in zip(track_m, position, strict=True)])
         travel = np.where(np.isfinite(travel), travel, 0.075 * C_MPS)
+    el = _elevations(track_m, position)
+    errors = _errors(receiver, tuple(sats), t_ns, el, rng)
     return tuple(
         _epoch(k, int(t), track_m[k], names, found, errors, receiver) for k, t in enumerate(t_ns.tolist())
     )
 
 
+def _elevations(track_m: FloatArray, position_m: FloatArray) -> FloatArray:
+    """Return elevations (n, m); -pi/2 of satellites without a place."""
+    out = np.full(position_m.shape[:2], -0.5 * np.pi)
+    for k, (place, sv) in enumerate(zip(track_m, position_m, strict=True)):
+        known = np.isfinite(sv).all(axis=1)
+        out[k, known] = elevation_azimuth(place, geometry(place, sv[known]).los)[0]
+    return out
+
+
 def _errors(
-    receiver: PreciseReceiver, sats: tuple[str, ...], t_ns: npt.NDArray[np.int64], rng: np.random.Generator
-) -> _Errors:
-    noise, n, m = receiver.noise, len(t_ns), len(sats)
-    root = np.sqrt(np.diff(t_ns, prepend=t_ns[:1]) * 1e-9)
-
-    def walk(columns: int, size: float) -> FloatArray:
-        return np.cumsum(size * root[:, None] * rng.standard_normal((n, columns)), axis=0)
-
-    clock, wet = walk(1, receiver.clock_mps)[:, 0], walk(1, noise.zwd_walk_m)[:, 0]
-    whole = 20.0 * rng.standard_normal(m)
+    receiver: PreciseReceiver, sats: tuple[str, ...], t_ns: npt.NDArray[np.int64], el_rad: FloatArray,
+    rng: np.random.Generator,
+) -> _Errors:  # fmt: skip
+    """Draw all errors as the estimator's model has them."""
+    noise, (n, m) = receiver.noise, el_rad.shape
+    dt = np.diff(t_ns, prepend=t_ns[:1]) * 1e-9
+    root = np.sqrt(dt)[:, None]
+    zenith = noise.scale(el_rad, np.full(m, CN0_DBHZ))
+    fast, phase, slow, steps = rng.standard_normal((4, n, m))
+    code = fast * noise.code_white_m * noise.code_factor(sats) * zenith
+    code = code + gauss_markov(dt, slow, noise.code_bias_tau_s) * noise.code_bias_m * (
+        noise.obliquity(el_rad) * noise.bias_factor(sats)
+    )
+    code = code + np.array([s[0] == "R" for s in sats]) * noise.glonass_code_bias_m * rng.standard_normal(m)
+    size = noise.carrier_factor(sats) / np.sin(np.maximum(el_rad, 0.05))
+    walk = np.cumsum(root * steps * noise.ambiguity_m * size, axis=0)
+    carrier = phase * noise.carrier_m * noise.carrier_factor(sats) * zenith + walk
+    common = root * rng.standard_normal((n, 2)) * (receiver.clock_mps, noise.zwd_walk_m)
+    clock, wet = np.cumsum(common, axis=0).T
     return _Errors(
-        noise.code_white_m * rng.standard_normal((n, m)), noise.carrier_m * rng.standard_normal((n, m)),
-        np.tile(rng.standard_normal(m), (n, 1)), whole + walk(m, noise.ambiguity_m), 500.0 + clock,
-        receiver.wet_m + wet, *_bridges(receiver, sats, t_ns, rng),
+        code, carrier + 20.0 * rng.standard_normal(m), 500.0 + clock, receiver.wet_m + wet,
+        *_bridges(receiver, sats, t_ns, rng),
     )  # fmt: skip
 
 
@@ -157,13 +174,7 @@ def _epoch(
     dry, wet = mapping_factors(place_m, el[seen], t_ns)
     air = zenith_delays_m(place_m)[0] * dry + errors.wet_m[k] * wet
     path = g.range_m[seen] - clk[seen] - errors.satellite_m[k, seen] + errors.clock_m[k] + air
-    noise, cn0 = receiver.noise, np.full(len(seen), CN0_DBHZ)
-    scale = noise.scale(el[seen], cn0)
-    slow = noise.code_bias_m * noise.obliquity(el[seen]) * noise.bias_factor(tuple(keys))
-    glonass = np.array([x[0] == "R" for x in keys]) * noise.glonass_code_bias_m
-    code = errors.code_m[k, seen] * scale * noise.code_factor(tuple(keys))
-    code = code + errors.slow_m[k, seen] * np.hypot(slow, glonass)
-    carrier = errors.carrier_m[k, seen] * scale + errors.ambiguity_m[k, seen]
+    cn0 = np.full(len(seen), CN0_DBHZ)
     aux = {
         "sv_pos_m": sv[seen], "sv_vel_mps": found.velocity_mps[row][seen], "sv_clk_m": clk[seen],
         "sv_clk_rate_mps": found.clock_rate_mps[row][seen], "sv_var_m2": found.variance_m2[row][seen],
@@ -174,7 +185,7 @@ def _epoch(
     return Epoch(
         t_ns,
         (
-            Observation("code", t_ns, tuple(keys), path + code, None, aux),
-            Observation("carrier", t_ns, phases, path + carrier, None, aux),
+            Observation("code", t_ns, tuple(keys), path + errors.code_m[k, seen], None, aux),
+            Observation("carrier", t_ns, phases, path + errors.carrier_m[k, seen], None, aux),
         ),
     )

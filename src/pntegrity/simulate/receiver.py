@@ -218,8 +218,11 @@ def _table(
     zenith, slow = noise.scale(rows.el_rad, cn0), noise.obliquity(rows.el_rad)
     at = rows.epoch, rows.sat
     dt = np.diff(t_ns, prepend=t_ns[0]) * 1e-9
-    multipath = noise.code_multipath_m * _gauss_markov(dt, len(sats), noise.code_multipath_tau_s, rng)[at]
-    bias = noise.code_bias_m * _gauss_markov(dt, len(sats), noise.code_bias_tau_s, rng)[at]
+    size = len(dt), len(sats)
+    multipath = (
+        noise.code_multipath_m * gauss_markov(dt, rng.standard_normal(size), noise.code_multipath_tau_s)[at]
+    )
+    bias = noise.code_bias_m * gauss_markov(dt, rng.standard_normal(size), noise.code_bias_tau_s)[at]
     white = rng.standard_normal((3, len(names)))
     errors = factor * (zenith * (noise.code_white_m * white[0] + multipath) + slow * bias)
     wave = C_MPS / _frequencies(nav, sats)
@@ -244,13 +247,15 @@ def _table(
     )
 
 
-def _gauss_markov(dt: FloatArray, count: int, tau_s: float, rng: np.random.Generator) -> FloatArray:
-    """Return `count` stationary first-order processes of unit variance, shape (len(dt), count)."""
-    drawn = rng.standard_normal((len(dt), count))
+def gauss_markov(dt: FloatArray, drawn: FloatArray, tau_s: float) -> FloatArray:
+    """Return stationary first-order processes of unit variance, made of white ones of the same shape
+    (len(dt), m).
+    """
+    out = drawn.copy()
     for k in range(1, len(dt)):
         keep = np.exp(-dt[k] / tau_s)
-        drawn[k] = keep * drawn[k - 1] + np.sqrt(1.0 - keep**2) * drawn[k]
-    return drawn
+        out[k] = keep * out[k - 1] + np.sqrt(1.0 - keep**2) * drawn[k]
+    return out
 
 
 def keep_only(table: SignalTable, wanted: Callable[[float, str], bool]) -> SignalTable:
