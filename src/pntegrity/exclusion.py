@@ -228,14 +228,18 @@ def _from_subsets(update: Update, policy: Policy) -> Decision:
 
 
 def _sizes(update: Update, rows: list[npt.NDArray[np.intp]]) -> list[float]:
-    """Return the bias of each group's first row, all rows of these groups estimated together: ``(V_JJ)^-1
-    z_J``.
+    """Return the bias of each group's most significant row, all rows of these groups estimated together:
+    ``(V_JJ)^-1 z_J``.
     """
     together = np.concatenate(rows)
     columns = np.linalg.solve(update.S, np.eye(len(update.keys))[:, together])
-    bias = np.linalg.lstsq(columns[together], columns.T @ update.nu, rcond=None)[0]
-    first = np.cumsum([0, *(len(r) for r in rows[:-1])])
-    return [float(b) for b in bias[first]]
+    spread = np.linalg.pinv(columns[together], hermitian=True)
+    bias = spread @ columns.T @ update.nu
+    size = np.abs(bias) / np.sqrt(np.maximum(np.diagonal(spread), 1e-30))
+    ends = np.cumsum([len(r) for r in rows])
+    return [
+        float(bias[e - len(r) + int(size[e - len(r) : e].argmax())]) for r, e in zip(rows, ends, strict=True)
+    ]
 
 
 def review(

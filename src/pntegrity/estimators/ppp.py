@@ -213,33 +213,42 @@ def _reborn(prior: Prior, states: np.ndarray, variance: FloatArray, *event: str)
 
 
 def _update(prior: Prior, rows: PreciseRows, used: np.ndarray, noise: NoiseModel, reason: str) -> Update:
-    """Return the update with the rows `used`; the others become its spare rows."""
-    layout = prior.state.layout
+    """Return the update with the rows `used`; the others become its spare rows.
+
+    Where none is used nobody is at fault: ambiguities stay what they are, and there are no spare rows.
+    """
+    layout, left_out = prior.state.layout, ~used & used.any()
     H = jacobian(layout, rows)
-    if not used.all():  # what the data initialise is initialised by those that are used
-        out = frozenset(g for g, u in zip(rows.names.groups, used, strict=True) if not u)
-        mean = _births(prior.state.mean, layout, prior.F, rows, out)[0]
-        prior = replace(prior, state=State(prior.state.t_ns, mean, prior.state.P, layout))
-    arcs = columns(layout, rows.names.ambiguity)[~used]
-    arcs = arcs[arcs >= 0]
-    again = arcs[(np.diagonal(prior.state.P)[arcs] < 0.5 * BORN_M**2) | ~prior.F[arcs].any(axis=1)]
-    if len(again):
-        prior = _reborn(prior, again, np.full(len(again), BORN_M**2))
+    arcs = columns(layout, rows.names.ambiguity)[left_out]
+    again = arcs[arcs >= 0]
+    again = again[(np.diagonal(prior.state.P)[again] < 0.5 * BORN_M**2) | ~prior.F[again].any(axis=1)]
+    if left_out.any():
+        prior = _without(prior, rows, left_out, again)
     nu = rows.y - rows.predicted - H[:, 3:] @ prior.state.mean[3:]
-    R = np.diag(_white_variance(layout, rows, noise)[used])
+    variance = _white_variance(layout, rows, noise)
     aux = {name: getattr(rows, name)[used] for name in ("el_rad", "az_rad", "cn0_dbhz")}
     keys = rows.keys if used.all() else tuple(k for k, u in zip(rows.keys, used, strict=True) if u)
-    update = Update.of(prior, keys, nu[used], H[used], R, aux=aux, reason=reason)
-    if used.all():
+    update = Update.of(prior, keys, nu[used], H[used], np.diag(variance[used]), aux=aux, reason=reason)
+    if not left_out.any():
         return update
-    H_out, nu_out = H[~used], nu[~used]
+    H_out, nu_out = H[left_out], nu[left_out]
     after = nu_out - H_out @ (update.posterior.mean - update.prior.mean)
-    born = np.isin(columns(layout, rows.names.ambiguity)[~used], again)
-    update = _with_means(update, columns(layout, rows.names.ambiguity)[~used][born], after[born])
-    H_out[:, arcs] = 0.0  # what the arc was born with is known: its carrier shows what came after
+    born = np.isin(arcs, again)
+    update = _with_means(update, arcs[born], after[born])
+    H_out[:, arcs[arcs >= 0]] = 0.0  # what the arc was born with is known: its carrier shows what came after
     nu_out[born] -= after[born]
-    left = tuple(k for k, u in zip(rows.keys, used, strict=True) if not u)
-    return update.with_spares(left, nu_out, H_out, _white_variance(layout, rows, noise)[~used])
+    left = tuple(k for k, out in zip(rows.keys, left_out, strict=True) if out)
+    return update.with_spares(left, nu_out, H_out, variance[left_out])
+
+
+def _without(prior: Prior, rows: PreciseRows, left_out: np.ndarray, again: np.ndarray) -> Prior:
+    """Return the prior whose data-initialised means do without some rows, with the ambiguities `again` born
+    anew.
+    """
+    out = frozenset(g for g, o in zip(rows.names.groups, left_out, strict=True) if o)
+    mean = _births(prior.state.mean, prior.state.layout, prior.F, rows, out)[0]
+    prior = replace(prior, state=State(prior.state.t_ns, mean, prior.state.P, prior.state.layout))
+    return _reborn(prior, again, np.full(len(again), BORN_M**2)) if len(again) else prior
 
 
 def _white_variance(layout: Layout, rows: PreciseRows, noise: NoiseModel) -> FloatArray:
