@@ -55,8 +55,13 @@ def test_only_satellites_and_linear_between_samples(save):
 
 def test_no_extrapolation_and_nan_offsets(save):
     c = read_clocks(save(clk([row("G05", k, bias(k)) for k in range(5)])))
-    ends = START + np.array([-1, 0, 120 * SECOND_NS, 120 * SECOND_NS + 1, 60])
+    s = SECOND_NS
+    ends = START + np.array([-s, 0, 120 * s, 121 * s, 60])
     assert c.clock_s("G05", ends, [0, 0, 0, 0, np.nan])[1].tolist() == [False, True, True, False, False]
+    # signals of the first epoch left before it: half a second on, the line of the first two samples
+    value, ok = c.clock_s("G05", [START - s // 4, START + 120 * s + s // 4])
+    assert ok.all()
+    np.testing.assert_allclose(value, [bias(-0.25 / 30.0), bias(4 + 0.25 / 30.0)], rtol=1e-12)
     value, ok = c.clock_s("G12", ends)
     assert not ok.any()
     assert np.isnan(value).all()
@@ -66,11 +71,11 @@ def test_nothing_across_a_gap_or_a_break(save):
     c = read_clocks(save(clk([row("G05", k, bias(k)) for k in (0, 1, 2, 4, 5, 6, 7)])))
     at = [START + 30 * k * SECOND_NS for k in range(8)]
     assert c.restarts("G05").tolist() == [at[4]]
-    ask = [at[2], at[2] + 1, at[3], at[4] - 1, at[4], at[5] + 1]
+    ask = [at[2], at[2] + SECOND_NS, at[3], at[4] - SECOND_NS, at[4], at[5] + 1]
     assert c.clock_s("G05", ask)[1].tolist() == [True, False, False, False, True, True]
     broken = replace(c, breaks={"G05": np.array([at[6]])})
     assert broken.restarts("G05").tolist() == [at[4], at[6]]
-    assert broken.clock_s("G05", [at[5], at[5] + 1, at[6]])[1].tolist() == [True, False, True]
+    assert broken.clock_s("G05", [at[5], at[5] + SECOND_NS, at[6]])[1].tolist() == [True, False, True]
     assert c.restarts("G12").tolist() == []
 
 

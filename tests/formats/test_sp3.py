@@ -108,7 +108,9 @@ def test_nothing_across_a_missing_day_or_outside(save):
     o = read_orbits([save(sp3(), "a.sp3"), save(sp3(DAY1 + 2 * DAY_NS), "b.sp3")])
     last, again = DAY1 + 95 * 900 * SECOND_NS, DAY1 + 2 * DAY_NS
     inside = np.array([DAY1, last, again, o.coverage_ns[1]])
-    outside = np.array([DAY1 - SECOND_NS, last + 1000, last + SECOND_NS, DAY1 + DAY_NS, again - SECOND_NS])
+    outside = np.array(
+        [DAY1 - SECOND_NS, last + 10**9, last + 2 * SECOND_NS, DAY1 + DAY_NS, again - SECOND_NS]
+    )
     outside = np.append(outside, o.coverage_ns[1] + SECOND_NS)
     for ask in (o.position_m, o.clocks.clock_s):
         value, ok = ask("G05", inside)

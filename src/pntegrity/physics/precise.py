@@ -12,7 +12,7 @@ from pntegrity.records import FloatArray
 
 __all__ = ["clock_nodes_s", "clock_pieces", "precise_states"]
 
-STEP_S = 0.5
+STEP_S = 0.2
 """Half-width of the central difference that gives the velocity."""
 RANGE_SIGMA_M = 0.03
 """What final products leave in a range."""
@@ -28,7 +28,7 @@ def precise_states(
     Parameters
     ----------
     orbits, clocks : PreciseOrbits, PreciseClocks
-        Nothing is interpolated across a gap of either, nothing extrapolated.
+        Nothing is interpolated across a gap of either, nothing extrapolated by more than half a second.
     sats : ndarray of str, shape (n,)
     t_rx_ns : ndarray of int64, shape (n,)
         Receiver time tags; the emission time is tag - pseudorange / c - satellite clock offset.

@@ -1,7 +1,7 @@
 """What the files of precise products hold, as plain values: orbits, clocks, biases, antennas, loading, pole.
 
 They stand here, below ``formats/``, since both the readers and the physics use them. Times are int ns of GPS
-time; nothing is extrapolated, and nothing is interpolated across a gap.
+time; nothing is extrapolated by more than half a second, and nothing is interpolated across a gap.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 GAP_FACTOR = 1.5
 """Two samples further apart than this many intervals are a gap."""
+EDGE_NS = SECOND_NS // 2
+"""So far outside the samples products are used: signals of the first epoch of a day left before midnight."""
 _NONE = np.zeros(0, dtype=np.int64)
 
 
@@ -62,11 +64,17 @@ def _query_ns(t_ns: npt.ArrayLike, offset_s: npt.ArrayLike) -> tuple[IntArray, B
 
 
 def _bracket(q: IntArray, t_ns: IntArray, joined: BoolArray) -> tuple[npt.NDArray[np.intp], BoolArray]:
-    """Return the sample at or before each time, and whether it is that time or joined to the next."""
+    """Return the sample at or before each time, and whether it is that time or joined to the next.
+
+    Up to `EDGE_NS` outside a piece the line of its first or last two samples goes on.
+    """
+    to_next = np.append(joined, False)
     i = np.searchsorted(t_ns, q, side="right") - 1
-    at = np.maximum(i, 0)
-    open_ended = np.append(joined, False)[at]
-    return at, (i >= 0) & (open_ended | (t_ns[at] == q))
+    at, after = np.maximum(i, 0), np.minimum(i + 1, len(t_ns) - 1)
+    inside = (i >= 0) & (to_next[at] | (t_ns[at] == q))
+    early = ~inside & (t_ns[after] > q) & (t_ns[after] - q <= EDGE_NS) & to_next[after]
+    late = ~inside & ~early & (i > 0) & (q - t_ns[at] <= EDGE_NS) & to_next[at - 1]
+    return np.where(early, after, np.where(late, at - 1, at)), inside | early | late
 
 
 @dataclass(frozen=True, eq=False)
