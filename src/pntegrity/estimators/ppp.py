@@ -7,12 +7,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pntegrity.estimators._carrier import PreciseRows, precise_rows
+from pntegrity.estimators._carrier import PreciseRows, names_of, precise_rows
 from pntegrity.estimators._gnss import Fix, GnssOptions, snapshot
 from pntegrity.estimators._layout import columns
 from pntegrity.estimators._navigation import no_prior
 from pntegrity.estimators._precise import (
-    BORN_M,
     clock_name,
     jacobian,
     layout_of,
@@ -25,6 +24,8 @@ from pntegrity.physics.atmosphere import zenith_delays_m
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
 from pntegrity.sensors.noise import PPP, Fitted, NoiseModel
 
+#: Ends the name of an ambiguity whose satellite was left out at the last epoch.
+LEFT_OUT = "~"
 #: Code residuals spread wider than this about their median: the position is not where it was, m.
 ASTRAY_M = 25.0
 
@@ -40,9 +41,9 @@ class Ppp:
     the slow errors of orbits, clocks and multipath; satellites have a code bias each, which those of GLONASS
     keep. An arc that ends takes its ambiguity with it.
 
-    Rows are ionosphere-free pairs where the epochs hold them. A satellite that is left out keeps an ambiguity
-    that is born at the epoch of its exclusion: its carrier can show that it goes on, and needs no other
-    reset.
+    Rows are ionosphere-free pairs where the epochs hold them. The ambiguity of a satellite that is left out
+    is made of its own carrier at the epoch of its exclusion (its name then ends with ``~``), and lives on:
+    its carrier shows what came after, to centimetres, and needs no other reset.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ class Ppp:
     monitoring: ClassVar[dict[str, dict[str, Any]]] = {
         "srctm": {"block": "pos+amb"}, "aime": {"window": 10}, "sraime": {"block": "pos+amb", "window": 10},
     }  # fmt: skip
-    policy: ClassVar[dict[str, Any]] = {"proof_s": 20.0, "proof_epochs": 20}
+    policy: ClassVar[dict[str, Any]] = {"proof_s": 10.0}
     settle_s: ClassVar[float] = 3600.0
     clip_sigma: ClassVar[float] = 4.0
     fitted: ClassVar[tuple[Fitted, ...]] = (
@@ -141,6 +142,7 @@ class Ppp:
     def _step(self, state: State, epoch: Epoch, rows: PreciseRows, fix: Fix | None) -> Prior:
         """Return the prior after `state`; with a `fix` its position is born there."""
         dt = (epoch.t_ns - state.t_ns) * 1e-9
+        rows = _as_left(rows, state.layout)
         layout = layout_of(state.layout, rows, self.options)
         F, Q = transition(state.layout, layout, dt, rows, self.options)
         mean = F @ state.mean
@@ -152,6 +154,13 @@ class Ppp:
         mean, born, more = _births(mean, layout, F, rows)
         P = sandwich(F, state.P) + Q
         return Prior(State(epoch.t_ns, mean, P, layout), F, Q, consumed + born, events + more, rows)
+
+
+def _as_left(rows: PreciseRows, old: Layout) -> PreciseRows:
+    """Return the rows with the marks that the last epoch left on their ambiguities."""
+    names = rows.names.ambiguity
+    marked = tuple(a + LEFT_OUT if a and a + LEFT_OUT in old.index else a for a in names)
+    return rows if marked == names else replace(rows, names=names_of(rows.keys, marked))
 
 
 def _middle(values: FloatArray) -> float:
@@ -217,38 +226,66 @@ def _update(prior: Prior, rows: PreciseRows, used: np.ndarray, noise: NoiseModel
 
     Where none is used nobody is at fault: ambiguities stay what they are, and there are no spare rows.
     """
-    layout, left_out = prior.state.layout, ~used & used.any()
-    H = jacobian(layout, rows)
-    arcs = columns(layout, rows.names.ambiguity)[left_out]
-    again = arcs[arcs >= 0]
-    again = again[(np.diagonal(prior.state.P)[again] < 0.5 * BORN_M**2) | ~prior.F[again].any(axis=1)]
+    left_out = ~used & used.any()
+    variance = _white_variance(prior.state.layout, rows, noise)
     if left_out.any():
-        prior = _without(prior, rows, left_out, again)
+        prior = _without(prior, rows, left_out)
+    prior, rows = _marked(prior, rows, left_out, variance)
+    H = jacobian(prior.state.layout, rows)
     nu = rows.y - rows.predicted - H[:, 3:] @ prior.state.mean[3:]
-    variance = _white_variance(layout, rows, noise)
     aux = {name: getattr(rows, name)[used] for name in ("el_rad", "az_rad", "cn0_dbhz")}
     keys = rows.keys if used.all() else tuple(k for k, u in zip(rows.keys, used, strict=True) if u)
     update = Update.of(prior, keys, nu[used], H[used], np.diag(variance[used]), aux=aux, reason=reason)
     if not left_out.any():
         return update
-    H_out, nu_out = H[left_out], nu[left_out]
-    after = nu_out - H_out @ (update.posterior.mean - update.prior.mean)
-    born = np.isin(arcs, again)
-    update = _with_means(update, arcs[born], after[born])
-    H_out[:, arcs[arcs >= 0]] = 0.0  # what the arc was born with is known: its carrier shows what came after
-    nu_out[born] -= after[born]
     left = tuple(k for k, out in zip(rows.keys, left_out, strict=True) if out)
-    return update.with_spares(left, nu_out, H_out, variance[left_out])
+    return update.with_spares(left, nu[left_out], H[left_out], variance[left_out])
 
 
-def _without(prior: Prior, rows: PreciseRows, left_out: np.ndarray, again: np.ndarray) -> Prior:
-    """Return the prior whose data-initialised means do without some rows, with the ambiguities `again` born
-    anew.
-    """
+def _without(prior: Prior, rows: PreciseRows, left_out: np.ndarray) -> Prior:
+    """Return the prior whose data-initialised means do without some rows."""
     out = frozenset(g for g, o in zip(rows.names.groups, left_out, strict=True) if o)
     mean = _births(prior.state.mean, prior.state.layout, prior.F, rows, out)[0]
-    prior = replace(prior, state=State(prior.state.t_ns, mean, prior.state.P, prior.state.layout))
-    return _reborn(prior, again, np.full(len(again), BORN_M**2)) if len(again) else prior
+    return replace(prior, state=State(prior.state.t_ns, mean, prior.state.P, prior.state.layout))
+
+
+def _marked(
+    prior: Prior, rows: PreciseRows, left_out: np.ndarray, variance: FloatArray
+) -> tuple[Prior, PreciseRows]:
+    """Return prior and rows whose ambiguities bear the mark of those left out, and are born anew for that.
+
+    Born anew an ambiguity is what its carrier is longer than predicted, with the errors of the prediction:
+    what is open of position and clock is the same later, and the carrier shows what came after.
+    """
+    old = rows.names.ambiguity
+    bare = [a.removesuffix(LEFT_OUT) for a in old]
+    new = tuple(a + LEFT_OUT if a and out else a for a, out in zip(bare, left_out, strict=True))
+    if new == old:
+        return prior, rows
+    again = [r for r, (a, b) in enumerate(zip(old, new, strict=True)) if b.endswith(LEFT_OUT) and a != b]
+    renamed = dict(zip(old, new, strict=True))
+    layout = Layout(tuple(renamed.get(n, n) for n in prior.state.layout.names))
+    rows = replace(rows, names=names_of(rows.keys, new))
+    state = State(prior.state.t_ns, prior.state.mean, prior.state.P, layout)
+    prior = replace(prior, state=state, context=rows)
+    return (_from_carriers(prior, rows, again, variance) if again else prior), rows
+
+
+def _from_carriers(prior: Prior, rows: PreciseRows, again: list[int], variance: FloatArray) -> Prior:
+    """Return the prior whose ambiguities of some rows are made of these rows alone."""
+    state = prior.state
+    H = jacobian(state.layout, rows)[again]
+    at = columns(state.layout, rows.names.ambiguity)[again]
+    nu = (rows.y - rows.predicted)[again] - H[:, 3:] @ state.mean[3:]
+    turn = np.eye(len(state))
+    turn[at] = -H
+    turn[np.ix_(at, at)] = 0.0
+    mean = state.mean.copy()
+    mean[at] += nu
+    P, Q = sandwich(turn, state.P), sandwich(turn, prior.Q)
+    for matrix in (P, Q):
+        matrix[at, at] += variance[again]
+    return replace(prior, state=State(state.t_ns, mean, P, state.layout), F=turn @ prior.F, Q=Q)
 
 
 def _white_variance(layout: Layout, rows: PreciseRows, noise: NoiseModel) -> FloatArray:
@@ -256,13 +293,3 @@ def _white_variance(layout: Layout, rows: PreciseRows, noise: NoiseModel) -> Flo
     if len(layout.block("svclk")):
         return np.asarray(rows.sigma_m**2)
     return np.asarray(rows.sigma_m**2 + satellite_clock_variance(rows, noise))
-
-
-def _with_means(update: Update, states: np.ndarray, shift: FloatArray) -> Update:
-    """Return the update with some means shifted, of states that its rows say nothing of."""
-    moved = []
-    for state in (update.prior, update.posterior):
-        mean = state.mean.copy()
-        mean[states] += shift
-        moved.append(State(state.t_ns, mean, state.P, state.layout))
-    return update.altered(prior=moved[0], posterior=moved[1])

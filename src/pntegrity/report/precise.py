@@ -58,7 +58,7 @@ def _group(name: str) -> str:
 def _cause(u: Update, name: str, alive: dict[str, tuple[str, int]]) -> str:
     if u.is_start:
         return "start"
-    if name in alive:
+    if name in alive or name.endswith("~") or f"{name}~" in alive:
         return "left out"
     return "cut" if _group(name) in map(_group, alive) else "view"
 
