@@ -6,7 +6,9 @@ verdicts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import gc
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,7 +19,7 @@ from pntegrity.records import Epoch, State, Status, Update, Verdict, group_of, j
 #: A blunder larger than this moves a start so far that its linearisation blames others too, m.
 FAR_M = 1000.0
 
-__all__ = ["Checkpoint", "Outcome", "Pipeline"]
+__all__ = ["Checkpoint", "Outcome", "Pipeline", "uncollected"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,3 +305,15 @@ def _ambiguity(decision: Decision) -> str:
     chosen = "+".join(e.group for e in decision.exclusions)
     others = ", ".join("+".join(a) for a in decision.alternatives)
     return f"ambiguous: {chosen} was left out, but {others} would explain the data nearly as well"
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Keep the cycle collector away from a growing list of results without cycles: a fifth of the time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

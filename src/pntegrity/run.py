@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +20,7 @@ from pntegrity.formats.truth import read_truth
 from pntegrity.logs import precise_log
 from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
 from pntegrity.physics.time import from_iso, to_iso
-from pntegrity.pipeline import Outcome, Pipeline
+from pntegrity.pipeline import Outcome, Pipeline, uncollected
 from pntegrity.records import Epoch, FloatArray, group_of
 from pntegrity.report.blind_spots import blind_spots
 from pntegrity.report.facts import RunFacts
@@ -135,21 +133,9 @@ def run(config: RunConfig, progress: Progress = _silent) -> RunResult:
     progress("reading", 0, 1)
     loaded = load_epochs(config)
     # small matrices: threads only get in each other's way
-    with threadpool_limits(1, user_api="blas"), _uncollected():
+    with threadpool_limits(1, user_api="blas"), uncollected():
         outcomes, interrupted = _loop(pipeline_for(config, loaded), loaded.epochs, progress)
     return RunResult(outcomes, _facts(config, loaded, outcomes, interrupted))
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Keep the cycle collector away from a growing list of results without cycles: a fifth of the time."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None = None) -> GnssOptions:

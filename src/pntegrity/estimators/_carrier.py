@@ -99,10 +99,18 @@ class PreciseRows:
         """Return only some rows."""
         if rows.all():
             return self
-        index = np.flatnonzero(rows)
-        keys, ambiguity = (tuple(t[i] for i in index) for t in (self.keys, self.names.ambiguity))
-        rest = (getattr(self, f.name)[index] for f in fields(self)[1:])
-        return PreciseRows(names_of(keys, ambiguity), *rest)
+        rest = (getattr(self, name)[rows] for name in _COLUMNS)
+        return PreciseRows(_selected(self.names, rows.tobytes()), *rest)
+
+
+_COLUMNS = tuple(f.name for f in fields(PreciseRows))[1:]
+
+
+@lru_cache(maxsize=256)
+def _selected(names: Names, rows: bytes) -> Names:
+    """Return the names of some rows."""
+    index = np.flatnonzero(np.frombuffer(rows, dtype=bool))
+    return names_of(*(tuple(t[i] for i in index) for t in (names.keys, names.ambiguity)))
 
 
 def precise_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> PreciseRows:

@@ -98,12 +98,12 @@ def transition(
     to, source, born = survivors(old, new)
     F = np.zeros((n, len(old)))
     F[to, source] = 1.0
-    lasting = stationary_variance(new, rows, options)
     walk = np.zeros(n)
     for block, size in _walks(noise):
         walk[new.block(block)] = size**2 * dt
     _satellite_errors(F, walk, new, rows, dt, noise)
-    walk[born] = lasting[born]
+    if len(born):
+        walk[born] = stationary_variance(new, rows, options)[born]
     clock = new.block("clk")
     F[clock], walk[clock] = 0.0, CLOCK_M**2
     _satellite_clocks(F, walk, new, rows, dt, noise)
@@ -175,13 +175,18 @@ def _motion(F: FloatArray, Q: FloatArray, dt: float, options: GnssOptions) -> No
 
 
 def jacobian(layout: Layout, rows: PreciseRows) -> FloatArray:
-    """Return the Jacobian of the rows, shape (m, n)."""
+    """Return the Jacobian of the rows, shape (m, n), read-only; kept with the rows for this layout."""
+    kept: tuple[Layout, FloatArray] | None = rows.__dict__.get("jacobian")
+    if kept is not None and kept[0] is layout:
+        return kept[1]
     H = _template(layout, rows.names).copy()
     H[:, :3] = -rows.los
     H[:, layout.index["zwd"]] = rows.wet
     tilt = layout.block("grad")
     if len(tilt):
         H[:, tilt[0]], H[:, tilt[1]] = rows.north, rows.east
+    H.flags.writeable = False
+    rows.__dict__["jacobian"] = layout, H
     return H
 
 

@@ -96,4 +96,6 @@ def predict_covariance(F: FloatArray, P: FloatArray, Q: FloatArray) -> FloatArra
 def correct_covariance(P: FloatArray, H: FloatArray, R: FloatArray, K: FloatArray) -> FloatArray:
     """Return the posterior covariance in Joseph form: symmetric and positive semidefinite for any gain."""
     A = np.eye(P.shape[0]) - K @ H
-    return symmetric(A @ P @ A.T + K @ R @ K.T)
+    diagonal = R.diagonal()
+    spread = (K * diagonal) @ K.T if np.count_nonzero(R) == np.count_nonzero(diagonal) else K @ R @ K.T
+    return symmetric(A @ P @ A.T + spread)

@@ -167,7 +167,7 @@ the fault.""",
     Campaign(
         "ppp-speed",
         "Speed of precise positioning",
-        "One thread; best of three runs over the log.",
+        "One thread; best of five runs over the log.",
         _from("evidence_ppp", "speed"),
     ),
     Campaign(
