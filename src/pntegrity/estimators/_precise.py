@@ -19,10 +19,10 @@ __all__ = [
 
 #: Standard deviation of ambiguities and of a position without memory, which the data initialise, m.
 BORN_M = 100.0
-#: Satellite clocks sampled further apart than this have a state each, s.
-OFTEN_S = 60.0
 #: The same of clocks: ten times the error of a median of code, and no more, for the sake of numerics.
 CLOCK_M = 30.0
+#: Satellite clocks sampled further apart than this have a state each, s.
+OFTEN_S = 60.0
 
 
 def motion_names(motion: str) -> tuple[str, ...]:

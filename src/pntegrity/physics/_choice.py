@@ -127,11 +127,11 @@ def _steadily(
     """Return for each group the rows of a code and of a carrier of the same band, -1 where there is none.
 
     They are the same ones from a satellite's rise to its setting, as a carrier that is another one has
-    another ambiguity. Codes are preferably those that precise clocks refer to, carriers civil ones, which
-    slip less; P(Y) code is often logged without a carrier of its own.
+    another ambiguity. Codes are preferably those that precise clocks refer to, carriers those that
+    `PRECISE_CARRIERS` puts first; P(Y) code is often logged without a carrier of its own.
     """
     names = table.signal[rows]
-    carriers = {s: c if signals.get(s) or signals.get(s + "2") else _civil(s, c) for s, c in codes.items()}
+    carriers = {s: c if signals.get(s) or signals.get(s + "2") else _carriers(s, c) for s, c in codes.items()}
     coded = usable & (_ranks(table, rows, codes) < NEVER)
     band = groups.of_row * 10 + _bands(names)
     there = np.isfinite(table.carrier_cycles[rows]) & np.isin(band, band[coded])
@@ -141,7 +141,7 @@ def _steadily(
     return code, carrier
 
 
-def _civil(system: str, codes: tuple[str, ...]) -> tuple[str, ...]:
+def _carriers(system: str, codes: tuple[str, ...]) -> tuple[str, ...]:
     bands = {c[0] for c in codes}
     return tuple(c for c in PRECISE_CARRIERS.get(system, codes) if c[0] in bands)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.physics._rows import rows_by_kind
 from pntegrity.physics.attitude import body_axes, sun_directions, wind_up_cycles
 from pntegrity.physics.frames import enu_rotations
 from pntegrity.physics.products import OceanLoading, PolarMotion, ReceiverAntenna, SatelliteAntenna
@@ -192,7 +193,5 @@ def _receiver_antenna_m(
 
 def _each(sky: Sky, band: npt.NDArray[np.str_]) -> list[tuple[npt.NDArray[np.intp], str, str]]:
     """Return the rows of each satellite and band."""
-    kinds, inverse = np.unique(np.char.add(np.array(sky.names)[sky.satellite], band), return_inverse=True)
-    order = np.argsort(inverse, kind="stable")
-    parts = np.split(order, np.cumsum(np.bincount(inverse, minlength=len(kinds)))[:-1])
-    return [(rows, kind[:3], kind[3:]) for kind, rows in zip(kinds.tolist(), parts, strict=True)]
+    kinds = np.char.add(np.array(sky.names)[sky.satellite], band)
+    return [(rows, kind[:3], kind[3:]) for kind, rows in rows_by_kind(kinds)]

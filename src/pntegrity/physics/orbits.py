@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.physics._rows import rows_by_kind
 from pntegrity.physics.ephemeris import accuracy_m, toc_ns
 from pntegrity.physics.glonass import glonass_states
 from pntegrity.physics.group_delays import group_delay_s, wants_fnav
@@ -117,14 +118,10 @@ def satellite_states(
     if not n:
         return out
     names = np.char.add(np.char.add(sats.astype("<U3"), ":"), np.asarray(signals, dtype="<U5"))
-    kinds, inverse = np.unique(names, return_inverse=True)
     has_range = np.isfinite(pseudorange_m)
     out.reason[~has_range] = "no pseudorange"
-    groups = np.split(
-        np.argsort(inverse, kind="stable"), np.cumsum(np.bincount(inverse, minlength=len(kinds)))[:-1]
-    )
     later: list[_Job] = []
-    for kind, rows in zip(kinds.tolist(), groups, strict=True):
+    for kind, rows in rows_by_kind(names):
         sat, _, signal = kind.partition(":")
         rows = rows[has_range[rows]]
         for job in _jobs(

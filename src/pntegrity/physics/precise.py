@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.physics._rows import rows_by_kind
 from pntegrity.physics.orbits import SatelliteStates
 from pntegrity.physics.products import PreciseClocks, PreciseOrbits
 from pntegrity.physics.signals import SPEED_OF_LIGHT_MPS
@@ -57,18 +58,11 @@ def precise_states(
     )  # fmt: skip
 
 
-def _groups(sats: npt.NDArray[np.str_]) -> list[tuple[str, npt.NDArray[np.intp]]]:
-    kinds, inverse = np.unique(sats, return_inverse=True)
-    order = np.argsort(inverse, kind="stable")
-    parts = np.split(order, np.cumsum(np.bincount(inverse, minlength=len(kinds)))[:-1])
-    return list(zip(kinds.tolist(), parts, strict=True))
-
-
 def _clocks(
     clocks: PreciseClocks, sats: npt.NDArray[np.str_], t_ns: npt.NDArray[np.int64], offset_s: FloatArray
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     value, ok = np.full(len(sats), np.nan), np.zeros(len(sats), dtype=bool)
-    for sat, rows in _groups(sats):
+    for sat, rows in rows_by_kind(sats):
         value[rows], ok[rows] = clocks.clock_s(sat, t_ns[rows], offset_s[rows])
     return value, ok
 
@@ -90,7 +84,7 @@ def _orbit(
     n = len(sats)
     parts = np.full((3, n, 3), np.nan)
     ok = np.ones(n, dtype=bool)
-    for sat, rows in _groups(sats):
+    for sat, rows in rows_by_kind(sats):
         for part, step in zip(parts, (-STEP_S, 0.0, STEP_S), strict=True):
             part[rows], here = orbits.position_m(sat, t_ns[rows], offset_s[rows] + step)
             ok[rows] &= here
@@ -102,7 +96,7 @@ def clock_nodes_s(
 ) -> FloatArray:
     """Return how long ago the last clock sample is and how far ahead the next, s, shape (n, 2)."""
     out = np.zeros((len(sats), 2))
-    for sat, rows in _groups(sats):
+    for sat, rows in rows_by_kind(sats):
         nodes = clocks.series[sat][0] if sat in clocks.series else np.zeros(0, dtype=np.int64)
         if len(nodes) > 1:
             i = np.clip(np.searchsorted(nodes, t_ns[rows], side="right"), 1, len(nodes) - 1)
@@ -115,6 +109,6 @@ def clock_pieces(
 ) -> npt.NDArray[np.int64]:
     """Return a number for each row that changes where a satellite's clock begins anew after a gap."""
     out = np.zeros(len(sats), dtype=np.int64)
-    for sat, rows in _groups(sats):
+    for sat, rows in rows_by_kind(sats):
         out[rows] = np.searchsorted(clocks.restarts(sat), t_ns[rows], side="right")
     return out

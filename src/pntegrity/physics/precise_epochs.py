@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -154,12 +154,7 @@ def _thinned(
     for i, t in enumerate(t_ns.tolist(), first):
         if t - last >= TRACK_NS or i == first + len(t_ns) - 1:
             kept[i], last = True, t
-    shown = states.ok & kept[chosen.epoch]
-    hidden = SatelliteStates(
-        states.position_m, states.velocity_mps, states.clock_m, states.clock_rate_mps, states.variance_m2,
-        shown, states.reason,
-    )  # fmt: skip
-    return t_ns, chosen, hidden, reasons
+    return t_ns, chosen, replace(states, ok=states.ok & kept[chosen.epoch]), reasons
 
 
 def _track(t_ns: npt.NDArray[np.int64], rough: Sequence[Epoch], locate: Locate) -> FloatArray:

@@ -136,7 +136,8 @@ class PreciseClocks:
         Returns
         -------
         clock_s : ndarray, shape (n,)
-            Clock offset, s; nan in a gap, across a break, outside the samples, and for a satellite not there.
+            Clock offset, s; nan in a gap, across a break, more than half a second outside the
+            samples, and for a satellite not there.
         ok : ndarray of bool, shape (n,)
             Where it is known.
         """

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
@@ -61,8 +61,7 @@ class Experiment:
         """Return a noise model and a motion model."""
         how = dict(self.facts["motion"][motion])
         name = how.pop("motion")
-        values = {f: getattr(PPP, f) for f in PPP.__dataclass_fields__}
-        return NoiseModel(**(values | self.facts["noise"][noise] | how)), name
+        return replace(PPP, **(self.facts["noise"][noise] | how)), name
 
 
 @dataclass(frozen=True, eq=False)

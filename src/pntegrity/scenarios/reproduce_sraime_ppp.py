@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from pntegrity.scenarios._ppp_runs import (
     simulated_drive,
 )
 from pntegrity.scenarios._spp_runs import BoolArray, Interval
-from pntegrity.scenarios.reproduce_sraime_spp import Result, Row
+from pntegrity.scenarios.reproduce_sraime_spp import Result, Row, row
 
 __all__ = ["reproduce"]
 
@@ -70,17 +69,13 @@ def reproduce(seeds: int = 20, *, data: Path | None = None, seed: int = 1) -> Re
     note = (
         f"{drive.label}; observations are simulated, since the log is not public; {seeds} seeds a satellite"
     )
-    rows = [_row("geometry", None, drive.label, None, note)]
+    rows = [row("geometry", None, drive.label, None, note)]
     for noise in e.facts["noise"]:
         for motion in e.facts["motion"]:
             label = f"{WORDS[noise]}, {WORDS[motion]}"
             rows += _Runs(Case.of(e, drive, noise, motion), label, seeds, rng).rows()
     rows += [_closest(e, rows, name) for name in PRINTED]
     return Result(tuple(rows), "SRAIME, PPP experiment (Table 3)")
-
-
-def _row(quantity: str, published: Any, measured: Any, ok: bool | None, note: str = "") -> Row:
-    return {"quantity": quantity, "published": published, "measured": measured, "ok": ok, "note": note}
 
 
 class _Runs:
@@ -126,13 +121,13 @@ class _Runs:
         times, note = self._summary({n: self.case.alarms(each[m], white) for n, m in PRINTED.items()})
         printed = self.e.facts["published"]
         ok = all(_near(self.e, times[n], printed[n]) for n in PRINTED)
-        return _row(f"alarms of the published tests, s: {self.label}, {reading}", printed, times, ok, note)
+        return row(f"alarms of the published tests, s: {self.label}, {reading}", printed, times, ok, note)
 
     def _exact_row(self) -> Row:
         white, each = self._white(next(iter(READINGS))), monitors_of(self.e)
         alarms = {n: self.case.alarms(each[n], white) for n in EXACT}
         times, note = self._summary(alarms | {"GLR": self.case.glr_alarms(white)})
-        return _row(f"alarms of the exact tests, s: {self.label}", None, times, None, note)
+        return row(f"alarms of the exact tests, s: {self.label}", None, times, None, note)
 
     def _honest_row(self) -> Row:
         """Look at the published statistic's real P_FA, and again with the threshold at which that is the
@@ -144,7 +139,7 @@ class _Runs:
         rates = ", ".join(f"{n} {v:.2g}" for n, v in real.items())
         quantity = f"alarms of the published SRAIME at a real P_FA of {p:g}, s: {self.label}"
         ok = _near(self.e, times[INEXACT[0]], self.e.facts["published"]["SRAIME"])
-        return _row(
+        return row(
             quantity,
             self.e.facts["published"]["SRAIME"],
             times,
@@ -165,7 +160,7 @@ class _Runs:
             f"onset and course known, power 0.5; at {first} s the fault is {size:.0f} cm"
         )
         quantity = f"earliest time any test of P_FA {e['p_fa']:g} sees the fault, s: {self.label}"
-        return _row(quantity, first, middle, middle is not None and middle <= first, note)
+        return row(quantity, first, middle, middle is not None and middle <= first, note)
 
 
 def _near(e: Experiment, times: list[int], printed: list[int]) -> bool:
@@ -180,7 +175,7 @@ def _closest(e: Experiment, rows: list[Row], name: str) -> Row:
     quantity = f"settings closest to the printed {name}"
     runs = [r for r in rows if isinstance(r["measured"], dict) and len(r["measured"].get(name, ())) == 2]
     if not runs:
-        return _row(quantity, printed, None, False, "it alarms nowhere")
+        return row(quantity, printed, None, False, "it alarms nowhere")
     best = min(runs, key=lambda r: sum(abs(a - b) for a, b in zip(r["measured"][name], printed, strict=True)))
     times = best["measured"][name]
-    return _row(quantity, printed, times, _near(e, times, printed), best["quantity"].partition(": ")[2])
+    return row(quantity, printed, times, _near(e, times, printed), best["quantity"].partition(": ")[2])

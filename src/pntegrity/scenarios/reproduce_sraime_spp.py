@@ -38,7 +38,7 @@ from pntegrity.scenarios._spp_runs import (
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["Result", "reproduce"]
+__all__ = ["Result", "Row", "reproduce", "row"]
 
 Row = dict[str, Any]
 WORDS = {
@@ -105,7 +105,8 @@ def reproduce(seeds: int = 20, *, tests: int = 200_000, seed: int = 1, grid: boo
     return Result(tuple(rows))
 
 
-def _row(quantity: str, published: Any, measured: Any, ok: bool | None, note: str = "") -> Row:
+def row(quantity: str, published: Any, measured: Any, ok: bool | None, note: str = "") -> Row:
+    """Return a row of a table of results."""
     return {"quantity": quantity, "published": published, "measured": measured, "ok": ok, "note": note}
 
 
@@ -115,7 +116,7 @@ def _assumptions(e: Experiment, runs: int) -> Row:
         f"not printed in the paper; spectral densities per root second; alarm times are medians over {runs} "
         f"runs, from {e['onset_s']} to {e['epochs'] - 1} s, none where fewer than half of the runs alarm"
     )
-    return _row("process noise used", None, used, None, note)
+    return row("process noise used", None, used, None, note)
 
 
 def _alarm_rows(case: Case, reading: str, noise: FloatArray) -> Iterator[Row]:
@@ -130,12 +131,12 @@ def _alarm_rows(case: Case, reading: str, noise: FloatArray) -> Iterator[Row]:
             note = f"{found.words()}; {before:.2g} false alarms in 100 s before the fault"
             published = e.facts["published"][name]
             ok = found.reproduces(published, e["alarm_s"])
-            yield _row(
+            yield row(
                 f"alarms of {name} ({variant}), s, {WORDS[reading]}", published, found.as_list, ok, note
             )
     found = Interval.of(case.glr_alarms(reading, noise[:, :, : noise.shape[2] // MORE]), e["onset_s"])
     note = f"not in the paper; {found.words()}"
-    yield _row(f"alarms of GLR (exact), s, {WORDS[reading]}", None, found.as_list, None, note)
+    yield row(f"alarms of GLR (exact), s, {WORDS[reading]}", None, found.as_list, None, note)
 
 
 def _false_alarm_rows(case: Case, tests: int, rng: np.random.Generator) -> Iterator[Row]:
@@ -148,7 +149,7 @@ def _false_alarm_rows(case: Case, tests: int, rng: np.random.Generator) -> Itera
             kept = 1.0 / e["p_fa_factor"] <= exact / e["p_fa"] <= e["p_fa_factor"]
             label = f"{name} ({variant})"
             note = "exact distribution of the quadratic form"
-            yield _row(f"real P_FA of {label} at nominal {e['p_fa']:g}", e["p_fa"], _short(exact), kept, note)
+            yield row(f"real P_FA of {label} at nominal {e['p_fa']:g}", e["p_fa"], _short(exact), kept, note)
             levels = (
                 (MC_P_FA,)
                 if variant == "exact" or name.startswith(("RCTM", "SRCTM"))
@@ -159,7 +160,7 @@ def _false_alarm_rows(case: Case, tests: int, rng: np.random.Generator) -> Itera
                 low, high = binomial_interval(hits, tests, 0.99)
                 measured = {"p_fa": hits / tests, "interval_99": [_short(low), _short(high)], "tests": tests}
                 note = f"Monte Carlo; exact distribution: {real_p_fa(form, p_fa):.3g}"
-                yield _row(
+                yield row(
                     f"real P_FA of {label} at nominal {p_fa:g}", p_fa, measured, low <= p_fa <= high, note
                 )
 
@@ -178,7 +179,7 @@ def _matched_rows(case: Case, reading: str, noise: FloatArray) -> Iterator[Row]:
         note = f"threshold raised {factor:.3g} times (exact distribution); {found[name].words()}"
         published = e.facts["published"][name]
         ok = found[name].reproduces(published, e["alarm_s"])
-        yield _row(
+        yield row(
             f"alarms of {name} at real P_FA {e['p_fa']:g}, s, {WORDS[reading]}",
             published,
             found[name].as_list,
@@ -195,7 +196,7 @@ def _claim_row(e: Experiment, reading: str, aime_s: int | None, sraime_s: int | 
     first = (("AIME", aime_s), ("SRAIME", sraime_s))
     note = ", ".join(f"{name}: " + ("none" if t is None else f"at {t} s") for name, t in first)
     label = f"SRAIME ahead of AIME at matched real P_FA {e['p_fa']:g}, s, {WORDS[reading]}"
-    return _row(label, published, ahead, ok, f"the paper's claim; first alarms {note}")
+    return row(label, published, ahead, ok, f"the paper's claim; first alarms {note}")
 
 
 def _bound_row(case: Case, reading: str) -> Row:
@@ -211,7 +212,7 @@ def _bound_row(case: Case, reading: str) -> Row:
     if at_best is None:
         note = f"never; {note}"
     label = f"earliest time any test of P_FA {e['p_fa']:g} sees the fault, s, {WORDS[reading]}"
-    return _row(label, first, at_best, at_best is not None and at_best <= first, note)
+    return row(label, first, at_best, at_best is not None and at_best <= first, note)
 
 
 def _grid_rows(e: Experiment, noise: FloatArray) -> Iterator[Row]:
@@ -236,7 +237,7 @@ def _grid_row(label: str, case: Case, reading: str, forms: dict[str, list[Form]]
     measured: Row = {name: interval.as_list for name, interval in found.items()}
     measured |= {f"{n}_p_fa": _short(real_p_fa(forms[n][-1], e["p_fa"])) for n in ("AIME", "SRAIME")}
     measured["bound_s"] = case.bound_s(reading)
-    return _row(label, published, measured, ok, "alarms (s) and real P_FA at other process noises")
+    return row(label, published, measured, ok, "alarms (s) and real P_FA at other process noises")
 
 
 def _short(value: float) -> float:
