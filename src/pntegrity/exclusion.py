@@ -18,9 +18,11 @@ from pntegrity.records import Suspect, Update, Verdict, group_of
 COMMON = ("pos", "vel", "clk", "drift")
 #: Twice the log-likelihood by which one explanation must beat another to be preferred.
 MARGIN = 9.0
+#: Kind of the suspects of a monitor that carries subfilters: the filter goes over to theirs.
+SEPARATION = "separation"
 TOO_FEW = "too few measurements would be left"
 
-__all__ = ["Decision", "Exclusion", "Policy", "Standing", "decide", "dynamics_failed", "review"]
+__all__ = ["SEPARATION", "Decision", "Exclusion", "Policy", "Standing", "decide", "dynamics_failed", "review"]
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,10 @@ class Standing:
 
 @dataclass(frozen=True)
 class Exclusion:
-    """One exclusion as reported: who, by which test, how large, since when."""
+    """One exclusion as reported: who, by which test, how large, since when.
+
+    `switch`: the filter goes over to the subfilter that never knew the group.
+    """
 
     t_ns: int
     group: str
@@ -99,6 +104,7 @@ class Exclusion:
     kind: str
     onset_ns: int
     ambiguous: bool = False
+    switch: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,10 +128,14 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     Where the rows contradict the prior and not each other, the motion or clock model is at fault: nothing is
     left out. An abrupt fault is found in this epoch's innovations by the smallest consistent subset. Where
     these are consistent, or a windowed monitor dates the fault before this epoch, its first suspect is
-    followed back to its onset.
+    followed back to its onset. The suspects of a monitor that carries subfilters come first: one whose own
+    subfilter passes its tests, else the smallest consistent subset, else the best of them.
     """
     if dynamics_failed(update, policy.p_fa):
         return Decision(relax=True)
+    carried = next((v for v in verdicts if v.status == "alert" and _is_separation(v)), None)
+    if carried is not None:
+        return _from_subfilters(update, carried, policy)
     windowed = _windowed_suspect(verdicts)
     if windowed is not None and _is_old(windowed[1], update.t_ns, previous_ns):
         return _from_suspect(update, *windowed, policy)
@@ -133,6 +143,23 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     if found.exclusions or windowed is None:
         return found
     return _from_suspect(update, *windowed, policy)
+
+
+def _is_separation(verdict: Verdict) -> bool:
+    return bool(verdict.suspects) and verdict.suspects[0].kind == SEPARATION
+
+
+def _from_subfilters(update: Update, verdict: Verdict, policy: Policy) -> Decision:
+    """Return the suspect whose subfilter contradicts the others' least; where it fails its own tests, several
+    may be at fault at once, which this epoch's innovations show. Where they name the same they tell the size.
+    """
+    suspect = verdict.suspects[0]
+    found = _from_subsets(update, policy)
+    same = {e.group for e in found.exclusions} == set(suspect.groups)
+    if not (found.exclusions and (same or suspect.statistic > 1.0)):
+        others = tuple(s.groups for s in verdict.suspects[1:]) if verdict.ambiguous else ()
+        found = replace(_from_suspect(update, verdict, suspect, policy), alternatives=others)
+    return replace(found, exclusions=tuple(replace(e, switch=True) for e in found.exclusions))
 
 
 def dynamics_failed(update: Update, p_fa: float, block: tuple[str, ...] = COMMON) -> bool:
@@ -173,7 +200,7 @@ def _windowed_suspect(verdicts: Sequence[Verdict]) -> tuple[Verdict, Suspect] | 
     """Return the suspect that explains most (all explain in the same unit, twice a log-likelihood), and who
     names it.
     """
-    alerts = [v for v in verdicts if v.status == "alert" and v.suspects]
+    alerts = [v for v in verdicts if v.status == "alert" and v.suspects and not _is_separation(v)]
     chosen = max(alerts, key=lambda v: v.suspects[0].statistic, default=None)
     return (chosen, chosen.suspects[0]) if chosen is not None else None
 

@@ -16,8 +16,9 @@ Span = tuple[int | None, int | None]
 
 
 def precise_log(
-    table: SignalTable, files: ProductFiles, systems: str, span: Span = (None, None), noise: NoiseModel = PPP
-) -> GnssEpochs:
+    table: SignalTable, files: ProductFiles, systems: str, span: Span = (None, None), noise: NoiseModel = PPP,
+    *, combined: bool = True,
+) -> GnssEpochs:  # fmt: skip
     """Return the epochs of a log with precise products.
 
     Parameters
@@ -31,6 +32,8 @@ def precise_log(
         First and last time, ns of GPS time.
     noise : NoiseModel
         Weights of the code from which rough positions are made.
+    combined : bool
+        False: rows of each band apart; see `precise_epochs`.
 
     Raises
     ------
@@ -42,5 +45,5 @@ def precise_log(
     options = GnssOptions(noise=noise)
     return precise_epochs(
         table, products, lambda epochs: track(epochs, options), systems=systems, site=site, channels=channels,
-        start_ns=span[0], end_ns=span[1],
+        start_ns=span[0], end_ns=span[1], combined=combined,
     )  # fmt: skip

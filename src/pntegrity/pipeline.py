@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide, review
-from pntegrity.protocols import Estimator, Monitor
+from pntegrity.protocols import Estimator, Monitor, Switching, memory_for
 from pntegrity.records import Epoch, State, Status, Update, Verdict, group_of, join_reasons
 
 #: A blunder larger than this moves a start so far that its linearisation blames others too, m.
@@ -154,7 +154,8 @@ class Pipeline:
             decision = decide(attempt.updates[-1], attempt.verdicts, self.policy, previous_ns)
             if decision.relax and not relaxed:
                 relaxed = True
-                attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed)
+                since = {e.group: e.onset_ns for e in made}
+                attempt = self._attempt(now, epoch, since, relaxed, _left(made))
                 continue
             new = tuple(e for e in decision.exclusions if e.group not in attempt.excluded)
             reasons.append(_ambiguity(decision) if new else decision.reason)
@@ -166,7 +167,7 @@ class Pipeline:
             if any(e.onset_ns < epoch.t_ns for e in new) and not _repair_is_due(now, epoch):
                 break
             made += new
-            attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed)
+            attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed, _left(made))
         if _alert(attempt.verdicts) and made and all(e.monitor != "subset" for e in made):
             reasons.append(
                 "leaving out " + "+".join(e.group for e in made) + " did not resolve the alert: undone"
@@ -183,19 +184,22 @@ class Pipeline:
         """Take back exclusions of a start that were made beside a fix which a blunder had moved far off."""
         for e in made:
             fewer = tuple(other for other in made if other.group != e.group)
-            trial = self._attempt(now, epoch, {other.group: other.onset_ns for other in fewer})
+            since = {other.group: other.onset_ns for other in fewer}
+            trial = self._attempt(now, epoch, since, switch=_left(fewer))
             if not _alert(trial.verdicts) and trial.verdicts[0].status == "ok":
                 attempt, made = trial, fewer
         return attempt, made
 
     def _attempt(
-        self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False
-    ) -> _Attempt:
+        self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False,
+        switch: frozenset[str] = frozenset(),
+    ) -> _Attempt:  # fmt: skip
         """Run the epoch without the groups in `since`, again from before the earliest onset where that is in
         the past.
 
         The monitors begin anew at such a point: what they remembered was made with the faults in it.
-        `relaxed` lets go of what the dynamics say of the epoch itself.
+        `relaxed` lets go of what the dynamics say of the epoch itself. With `switch` the filter goes on from
+        the subfilter that never knew these groups, and nothing before can be repaired any more.
         """
         margin = {g: max(epoch.t_ns - onset, 0) // 4 for g, onset in since.items()}
         left_out = {g: onset - margin[g] for g, onset in since.items()}
@@ -204,21 +208,35 @@ class Pipeline:
         again = now.history[start:]
         state = again[0].before if again else now.state
         memories: tuple[Any, ...] = tuple(m.start() for m in self.monitors) if again else now.memories
-        updates, history = [], list(now.history[:start])
+        updates, history = [], [] if switch else list(now.history[:start])
         verdicts: tuple[Verdict, ...] = ()
         past = [(p.epoch, p.excluded, p.relaxed) for p in again]
+        state = self._without(now, state, switch) if not again else state
         for e, already, free in [*past, (epoch, frozenset(now.standing), relaxed)]:
             out = already | {g for g, t_ns in left_out.items() if e.t_ns >= t_ns}
             prior = self.estimator.predict(state, e)
             update = self.estimator.correct(self.estimator.relax(prior) if free else prior, e, out)
+            if switch and e is epoch and not again:
+                update = update.altered(switched=tuple(sorted(switch)))
             verdicts, memories = self._judge(memories, update)
             history.append(Past(state, e, out, free))
             updates.append(update)
             state = update.posterior
         return _Attempt(tuple(updates), len(again), verdicts, memories, tuple(history))
 
+    def _without(self, now: Checkpoint, state: State, groups: frozenset[str]) -> State:
+        """Return the last belief of the filter that never knew some groups."""
+        carriers = [(m, memory) for m, memory in zip(self.monitors, now.memories, strict=True)
+                    if isinstance(m, Switching)]  # fmt: skip
+        for monitor, memory in carriers[:1] if groups and len(state) else ():
+            state = monitor.subfilter(memory, state, groups)
+        return state
+
     def _judge(self, memories: Sequence[Any], update: Update) -> tuple[tuple[Verdict, ...], tuple[Any, ...]]:
-        pairs = [m.step(memory, update) for m, memory in zip(self.monitors, memories, strict=True)]
+        pairs = [
+            m.step(memory_for(m, memory, update), update)
+            for m, memory in zip(self.monitors, memories, strict=True)
+        ]
         return tuple(v for v, _ in pairs), tuple(memory for _, memory in pairs)
 
     def _commit(
@@ -262,6 +280,11 @@ class Pipeline:
             readmitted, reason or update.reason,
         )  # fmt: skip
         return outcome, checkpoint
+
+
+def _left(made: Sequence[Exclusion]) -> frozenset[str]:
+    """Return the groups for which the filter goes over to a subfilter."""
+    return frozenset(e.group for e in made if e.switch)
 
 
 def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:

@@ -8,7 +8,7 @@ from pntegrity.records import Epoch, Prior, State, Update, Verdict
 
 Memory = TypeVar("Memory")
 
-__all__ = ["Estimator", "Monitor"]
+__all__ = ["Estimator", "Monitor", "Switching", "memory_for"]
 
 
 @runtime_checkable
@@ -58,3 +58,28 @@ class Monitor(Protocol):
     def step(self, memory: Any, update: Update) -> tuple[Verdict, Any]:
         """Return the verdict on `update` and the memory after it."""
         ...
+
+
+@runtime_checkable
+class Switching(Protocol):
+    """A monitor that carries subfilters, to which the filter can go over when their groups are at fault."""
+
+    def subfilter(self, memory: Any, state: State, groups: frozenset[str]) -> State:
+        """Return the belief of the filter that never knew `groups`.
+
+        Parameters
+        ----------
+        memory
+            Of the monitor, after the epoch of `state`.
+        state : State
+            Posterior of the filter.
+        groups : frozenset of str
+        """
+        ...
+
+
+def memory_for(monitor: Monitor, memory: Any, update: Update) -> Any:
+    """Return the memory with which a monitor takes an update: where the filter went over to a subfilter, only
+    monitors that know of it go on.
+    """
+    return monitor.start() if update.switched and not isinstance(monitor, Switching) else memory

@@ -27,7 +27,7 @@ from pntegrity.states import FloatArray, Layout, Prior, State, freeze, frozen, g
 Status = Literal["ok", "alert", "unavailable"]
 
 __all__ = [
-    "Epoch", "FloatArray", "Layout", "Observation", "Prior", "State", "Status", "Suspect", "Update",
+    "Bound", "Epoch", "FloatArray", "Layout", "Observation", "Prior", "State", "Status", "Suspect", "Update",
     "Verdict", "group_of",
 ]  # fmt: skip
 
@@ -125,6 +125,11 @@ class Update:
         Groups whose rows were left out.
     consumed : int
         States initialised from this epoch's data.
+    switched : tuple of str
+        Groups that this epoch's prior, and all before it, never knew: the filter goes on from the subfilter
+        without them, and `F` leads from that one's posterior.
+    R_accuracy : ndarray, shape (m, m), optional
+        Covariance that the rows' errors are believed to have, where `R` bounds it from above.
     events : tuple of str
         What happened, in words.
     reason : str
@@ -151,10 +156,14 @@ class Update:
     spare_keys: tuple[str, ...] = ()
     spare_nu: FloatArray = field(default_factory=lambda: np.zeros(0))
     spare_var: FloatArray = field(default_factory=lambda: np.zeros(0))
+    switched: tuple[str, ...] = ()
+    R_accuracy: FloatArray | None = None
     aux: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "nu", "H", "R", "F", "Q", "spare_nu", "spare_var")
+        if self.R_accuracy is not None:
+            freeze(self, "R_accuracy")
 
     @staticmethod
     def of(
@@ -327,13 +336,63 @@ class Suspect:
 
 
 @dataclass(frozen=True)
+class Bound:
+    """Protection levels of one epoch, m; inf where none can be given, and `reason` tells why.
+
+    Parameters
+    ----------
+    east_m, north_m, up_m : float
+        The position error exceeds each with at most its share of the integrity risk, unless an alert is given.
+    sigma_m : tuple of float
+        Standard deviations of the position east, north and up.
+    along_m, cross_m : float or None
+        The same along and across the track, with the shares of east and north; None without a course.
+    dominant : tuple of str
+        The fault mode that contributes most to the risk east, north and up; ``""``: no fault.
+    smallest_m : tuple of float
+        The test of separations cannot keep the risk below these, east, north and up, whatever the formula.
+    modes : int
+        Fault modes that were monitored.
+    unmonitored : float
+        Probability of all others.
+    since_ns : int
+        Faults that began before are not covered.
+    reason : str
+    """
+
+    east_m: float
+    north_m: float
+    up_m: float
+    sigma_m: tuple[float, float, float]
+    along_m: float | None = None
+    cross_m: float | None = None
+    dominant: tuple[str, str, str] = ("", "", "")
+    smallest_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    modes: int = 0
+    unmonitored: float = 0.0
+    since_ns: int = 0
+    reason: str = ""
+
+    @property
+    def hpl_m(self) -> float:
+        """Horizontal protection level."""
+        return float(np.hypot(self.east_m, self.north_m))
+
+    @property
+    def vpl_m(self) -> float:
+        """Vertical protection level."""
+        return self.up_m
+
+
+@dataclass(frozen=True)
 class Verdict:
     """What one monitor says of one epoch.
 
     `status` is three-valued: ``unavailable`` (no test possible, with the `reason`) is never ``ok``.
     `statistic` and `threshold` are finite where a test was made and 0 otherwise; `p_fa` is the probability of
     a false alarm that the threshold stands for; `suspects` are ordered, the most likely first; `ambiguous`
-    tells that the data do not single out the first.
+    tells that the data do not single out the first; `bound` holds the protection levels of monitors that give
+    some.
     """
 
     monitor: str
@@ -347,6 +406,7 @@ class Verdict:
     suspects: tuple[Suspect, ...] = ()
     ambiguous: bool = False
     reason: str = ""
+    bound: Bound | None = None
 
     @property
     def suspect_groups(self) -> tuple[str, ...]:

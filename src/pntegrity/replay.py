@@ -11,7 +11,7 @@ from pntegrity.errors import InputError
 from pntegrity.formats.atomic import atomically
 from pntegrity.formats.update_record import read_record
 from pntegrity.monitors import discover
-from pntegrity.protocols import Monitor
+from pntegrity.protocols import Monitor, memory_for
 from pntegrity.records import Update, Verdict
 
 if TYPE_CHECKING:
@@ -56,7 +56,9 @@ def monitored(
     for update, rewound in entries:
         if rewound:
             memories = [m.start() for m in monitors]
-        steps = [m.step(memory, update) for m, memory in zip(monitors, memories, strict=True)]
+        steps = [
+            m.step(memory_for(m, memory, update), update) for m, memory in zip(monitors, memories, strict=True)
+        ]
         memories = [memory for _, memory in steps]
         yield update, [verdict for verdict, _ in steps]
 

@@ -84,7 +84,8 @@ def _precise(config: RunConfig, table: SignalTable, span: tuple[int | None, int 
     files = ProductFiles(
         config.sp3, config.clk, config.bias, config.antex, config.blq, config.erp, config.station, config.nav
     )
-    return precise_log(table, files, config.systems, span, config.noise_model())
+    combined = config.estimator != "ppp_rtk"  # it estimates slant delays
+    return precise_log(table, files, config.systems, span, config.noise_model(), combined=combined)
 
 
 def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[Epoch]:

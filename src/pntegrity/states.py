@@ -6,6 +6,7 @@ Symbols as in `pntegrity.records`, which gives these names on.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -14,7 +15,9 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-__all__ = ["FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of"]
+__all__ = [
+    "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out", "rows_touched_by",
+]  # fmt: skip
 
 
 def group_of(key: str) -> str:
@@ -22,6 +25,31 @@ def group_of(key: str) -> str:
     ``"G05"``).
     """
     return key.partition(":")[0]
+
+
+def is_left_out(key: str, groups: frozenset[str]) -> bool:
+    """Tell whether a row goes with the groups that are left out: it is one's own, or a product about one.
+
+    The row of a product names its satellite after the colon (``"iono:G05"``): it goes with ``"iono"`` and
+    with ``"G05"``.
+    """
+    group, _, about = key.partition(":")
+    return group in groups or about in groups
+
+
+@lru_cache(maxsize=4096)
+def rows_touched_by(patterns: tuple[str, ...], keys: tuple[str, ...]) -> npt.NDArray[np.bool_]:
+    """Return which rows any of some patterns matches, shape (len(keys),), read-only.
+
+    Parameters
+    ----------
+    patterns : tuple of str
+        With the wildcards of a shell: ``"G05:*"``, ``"*:G05"``, ``"iono:*"``.
+    keys : tuple of str
+    """
+    out = np.array([any(fnmatchcase(k, p) for p in patterns) for k in keys], dtype=bool)
+    out.flags.writeable = False
+    return out
 
 
 def frozen(a: npt.ArrayLike) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pntegrity.protocols import Monitor
+from pntegrity.protocols import Monitor, memory_for
 from pntegrity.records import Update, Verdict
 
 __all__ = ["Watch"]
@@ -48,6 +48,7 @@ class Watch:
 
     def push(self, update: Update) -> list[Verdict]:
         """Return the verdict of each monitor on `update`, in the order of the monitors."""
-        steps = [m.step(memory, update) for m, memory in zip(self.monitors, self.memories, strict=True)]
+        pairs = zip(self.monitors, self.memories, strict=True)
+        steps = [m.step(memory_for(m, memory, update), update) for m, memory in pairs]
         self.memories = tuple(memory for _, memory in steps)
         return [verdict for verdict, _ in steps]

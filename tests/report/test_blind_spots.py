@@ -3,10 +3,11 @@ from dataclasses import replace
 import pytest
 
 from pntegrity.monitors.aime import Aime
+from pntegrity.monitors.separation import Separation
 from pntegrity.monitors.sraime import Sraime
 from pntegrity.monitors.srctm import Srctm
 from pntegrity.report.blind_spots import blind_spots
-from pntegrity.sensors.noise import PPP, NoiseModel
+from pntegrity.sensors.noise import PPP, PPP_RTK, PPP_RTK_PUBLISHED, NoiseModel
 
 MONITORS = (Aime(), Srctm(), Sraime())
 
@@ -50,3 +51,17 @@ def test_other_estimators_have_their_own():
     assert "7.5 mm in 1 s and 5.8 cm in 60 s" in code
     assert "ambiguity" not in code
     assert len(blind_spots("spp_kf", replace(NoiseModel(), code_bias_m=0.0, code_multipath_m=0.0))) == 1
+
+
+def test_products_hide_what_their_bias_states_expect():
+    text = " ".join(blind_spots("ppp_rtk", PPP_RTK))
+    assert "of the stated size over 30 min" in text
+    assert "Ambiguities walk" in text
+    assert "taken for white" in " ".join(blind_spots("ppp_rtk", PPP_RTK_PUBLISHED))
+    assert "atmosphere product" not in told()
+
+
+@pytest.mark.parametrize("estimator", ["spp", "spp_kf", "ppp", "ppp_rtk"])
+def test_what_separation_does_not_see_is_said_where_it_runs(estimator):
+    assert any(s.startswith("SEPARATION") for s in blind_spots(estimator, PPP_RTK, "white", (Separation(),)))
+    assert not any(s.startswith("SEPARATION") for s in blind_spots(estimator, PPP_RTK))

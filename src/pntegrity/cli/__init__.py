@@ -20,6 +20,7 @@ COMMANDS = {
     "monitor": "Run monitors again on a recorded run, without the raw data.",
     "audit": "Does a monitor keep its false-alarm rate on this geometry, and what would it see?",
     "calibrate": "Fit the noise model to a receiver's log.",
+    "products": "Products of the atmosphere from a station whose place is known.",
     "reproduce": "A published experiment, beside its published figures.",
     "evidence": "The measured figures behind docs/results.md.",
 }

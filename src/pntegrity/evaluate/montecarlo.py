@@ -19,12 +19,13 @@ from numba import njit
 
 from pntegrity.evaluate.intervals import binomial_interval
 from pntegrity.kernels.bank import MaximumTest
+from pntegrity.kernels.carried_test import CarriedTest
 from pntegrity.kernels.windows import QuadraticTest
 from pntegrity.records import FloatArray, Update
 
 IntArray = npt.NDArray[np.int64]
 SingleArray = npt.NDArray[np.float32]
-Test = QuadraticTest | MaximumTest
+Test = QuadraticTest | MaximumTest | CarriedTest
 
 __all__ = ["Count", "Planned", "Planner", "count_alarms", "plans"]
 
@@ -64,7 +65,7 @@ class Planned:
     Parameters
     ----------
     update : Update
-    test : QuadraticTest or MaximumTest
+    test : QuadraticTest, MaximumTest or CarriedTest
     reason : str
         Why the epoch is not tested or not simulated, where it is not.
     """
@@ -210,10 +211,11 @@ class _Step:
     source: IntArray | None = None
     response: SingleArray | None = None
     inverse: SingleArray | None = None
+    carried: CarriedTest | None = None
 
     @property
     def nbytes(self) -> int:
-        return sum(a.nbytes for a in (self.matrix, self.response) if a is not None)
+        return sum(a.nbytes for a in (self.matrix, self.response, self.carried) if a is not None)
 
 
 def _stretches(planned: Iterable[Planned], most: int = 256_000_000) -> Iterator[list[_Step]]:
@@ -236,6 +238,8 @@ def _ready(p: Planned, before: _Step | None) -> _Step:
     if isinstance(test, MaximumTest):
         single = (test.response.astype(np.float32), test.inverse.astype(np.float32))
         return _Step(rows, tested, test.threshold, test.overlap, None, test.source, *single)
+    if isinstance(test, CarriedTest):
+        return _Step(rows, tested, test.threshold, test.overlap, carried=test)
     if test.form is None:
         return _Step(rows, False, test.threshold)
     matrix = test.form.stacked()
@@ -252,11 +256,14 @@ class _Lane:
         self.alarms = np.zeros(runs, dtype=np.int64)
         self.recent: FloatArray = np.zeros((0, runs))
         self.num: SingleArray = np.zeros((0, runs), dtype=np.float32)
+        self.apart: FloatArray = np.zeros((0, 0, runs))
 
     def statistics(
         self, stretch: list[_Step], means: Sequence[FloatArray] | None
     ) -> Iterator[tuple[int, npt.NDArray[Any]]]:
         """Yield the number of each tested epoch of a stretch and the statistic of every run."""
+        if any(step.carried is not None for step in stretch):
+            return self._separations(stretch, means)
         bank = any(step.source is not None for step in stretch)
         return self._maxima(stretch, means) if bank else self._squares(stretch, means)
 
@@ -297,6 +304,20 @@ class _Lane:
             self.num = fresh
             if step.tested:
                 yield k, best
+
+
+    def _separations(
+        self, stretch: list[_Step], means: Sequence[FloatArray] | None
+    ) -> Iterator[tuple[int, FloatArray]]:
+        for k, step in enumerate(stretch):
+            if step.carried is None:
+                continue
+            white = self.rng.standard_normal((step.rows, self.runs))
+            if means is not None:
+                white += means[k][:, None]
+            self.apart = step.carried.step(self.apart, white)
+            if step.tested:
+                yield k, step.carried.statistic(self.apart)
 
 
 def _pieces(rows: list[int], most: int) -> Iterator[tuple[int, int]]:

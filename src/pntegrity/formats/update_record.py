@@ -30,9 +30,11 @@ __all__ = ["Entry", "UpdateRecord", "read_record", "write_record"]
 Entry = tuple[Update, int]
 """An update, and how many earlier ones it and what follows replace (a repair; monitors begin anew there)."""
 
-FORMAT, VERSION = "pntegrity-updates", 1
+FORMAT, VERSION = "pntegrity-updates", 2
 MATRICES = ("F", "Q", "H", "R")
 NAMED = ("layout", "keys", "spare_keys", "events", "excluded")
+#: The same since version 2.
+NEWER = ("switched",)
 MOST_STATES = 100_000
 """More than any filter has: a damaged size is found before memory is asked for."""
 SAMPLE = 64
@@ -100,7 +102,7 @@ def write_record(path: Path | str, entries: Iterable[Entry], about: Mapping[str,
         "reason": np.array([names.number((u.reason,)) for u in updates], dtype=np.int32),
         "layout": np.array([names.number(u.prior.layout.names) for u in updates], dtype=np.int32),
     }
-    for name in NAMED[1:]:
+    for name in (*NAMED[1:], *NEWER):
         arrays[name] = np.array([names.number(getattr(u, name)) for u in updates], dtype=np.int32)
     for name in ("nu", "spare_nu", "spare_var"):
         arrays[name] = _joined([getattr(u, name) for u in updates])
@@ -300,7 +302,7 @@ class _Reader:
             self._matrix("R", i, (m, m)),
             excluded=self._names("excluded", i), reason=self._names("reason", i)[0], aux=self._aux(i),
             spare_keys=self._names("spare_keys", i), spare_nu=self._part("spare_nu", "spare_keys", i),
-            spare_var=self._part("spare_var", "spare_keys", i),
+            spare_var=self._part("spare_var", "spare_keys", i), switched=self._names("switched", i),
         )  # fmt: skip
         return self._with_posterior(
             u, self._part("posterior_mean", "layout", i), self._covariance("posterior_P", i, n)
@@ -314,7 +316,7 @@ class _Reader:
         return out
 
     def _names(self, name: str, i: int) -> tuple[str, ...]:
-        return self.tuples[int(self.a[name][i])]
+        return self.tuples[int(self.a[name][i])] if name in self.a else ()
 
     def _part(self, name: str, by: str, i: int) -> FloatArray:
         start, stop = self.at[by][i], self.at[by][i + 1]
@@ -377,6 +379,7 @@ def _check(arrays: Mapping[str, npt.NDArray[Any]], path: Path) -> None:
         )
     n = len(arrays["t_ns"])
     per_update = ["rewound", "consumed", "columns_F", "reason", "aux_has", *NAMED]
+    per_update += NEWER if int(arrays["version"]) > 1 else ()
     offsets = [f"{m}_offset" for m in MATRICES]
     if any(len(arrays[k]) != n for k in per_update) or any(len(arrays[k]) != n + 1 for k in offsets):
         raise InputError("the tables of the record differ in length", path=path, hint=DAMAGED)

@@ -45,8 +45,8 @@ class Extra:
 
     Parameters
     ----------
-    code_m, carrier_m : ndarray
-        To be added to the prediction: antennas, tides, wind-up, biases.
+    code_m, carrier_m : ndarray, shape (n,) or (n, 2)
+        To be added to the prediction: antennas, tides, wind-up, biases; of the pair, or of each band.
     arc : ndarray of int64
         Number of the carrier's arc; another one where the ambiguity is another one.
     arc_reason : ndarray of int64
@@ -102,11 +102,15 @@ def assemble(
     states: SatelliteStates,
     reasons: npt.NDArray[np.object_],
     extra: Extra | None = None,
+    combined: bool = True,
 ) -> tuple[tuple[Epoch, ...], list[str]]:
-    """Return the epochs at the time tags, and notes on what was left out."""
+    """Return the epochs at the time tags, and notes on what was left out.
+
+    Pairs are combined, or have a row on each band.
+    """
     offset = int(np.searchsorted(table.t_ns, t_ns[0]))
     n = len(t_ns)
-    sensors = _measurements(table, channels, chosen, states, extra)
+    sensors = _measurements(table, channels, chosen, states, extra, combined)
     per_sensor = [
         _slices(name, t_ns, chosen.epoch[at] - offset, keys, y, aux)
         for name, (at, keys, y, aux) in sensors.items()
@@ -136,41 +140,82 @@ def _counted(sats: list[str], reasons: list[str], n: int) -> list[str]:
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows to be: which of `Chosen` and which band of it (0 or 1), table rows of both codes and carriers."""
+
+    at: Index
+    slot: Index
+    code: tuple[Index, Index]
+    carrier: tuple[Index, Index]
+    band: Bands
+    iono_factor: FloatArray
+
+    def part(self, values: FloatArray) -> FloatArray:
+        """Return what belongs to the rows of values of each pair, (n,), or of each band, (n, 2)."""
+        return values[self.at] if values.ndim == 1 else values[self.at, self.slot]
+
+
+def _pairs(table: SignalTable, channels: Mapping[str, int], chosen: Chosen, ok: Index) -> _Rows:
+    """Return one row a pair."""
+    band = bands(table, channels, chosen, ok)
+    code, carrier = (
+        (one[ok], two[ok])
+        for one, two in ((chosen.first, chosen.second), (chosen.carrier_first, chosen.carrier_second))
+    )
+    return _Rows(ok, np.zeros_like(ok), code, carrier, band, np.where(code[1] >= 0, 0.0, 1.0))
+
+
+def _singles(table: SignalTable, channels: Mapping[str, int], chosen: Chosen, ok: Index) -> _Rows:
+    """Return two rows a pair, one a band; there are carriers where there are both."""
+    pairs = _pairs(table, channels, chosen, ok)
+    none = np.full(2 * len(ok), -1)
+    whole = (pairs.carrier[0] >= 0) & (pairs.carrier[1] >= 0)
+    code, carrier = (np.stack(rows, axis=1) for rows in (pairs.code, pairs.carrier))
+    carrier[~whole] = -1
+    freq = np.stack([pairs.band.freq_hz, pairs.band.freq2_hz], axis=1)
+    return _Rows(
+        ok.repeat(2), np.tile([0, 1], len(ok)), (code.ravel(), none), (carrier.ravel(), none),
+        Bands(freq.ravel(), np.full(len(none), np.nan)), np.asarray((freq[:, :1] / freq) ** 2).ravel(),
+    )  # fmt: skip
+
+
 def _measurements(
     table: SignalTable,
     channels: Mapping[str, int],
     chosen: Chosen,
     states: SatelliteStates,
     extra: Extra | None,
+    combined: bool,
 ) -> dict[str, tuple[Index, list[str], FloatArray, dict[str, npt.NDArray[np.generic]]]]:
     """Return for each sensor: rows of `chosen`, keys, values and aux."""
-    ok = np.flatnonzero(states.ok)
-    band = bands(table, channels, chosen, ok)
-    code = [c[ok] for c in (chosen.first, chosen.second)]
-    carrier = [c[ok] for c in (chosen.carrier_first, chosen.carrier_second)]
+    rows = (_pairs if combined else _singles)(table, channels, chosen, np.flatnonzero(states.ok))
+    band, code, carrier = rows.band, rows.code, rows.carrier
     wave = band.wavelengths_m
     cycles = [w * take(table.carrier_cycles, c) for w, c in zip(wave, carrier, strict=True)]
+    rate = -wave[0] * _first_of(table.doppler_hz, carrier[0], code[0])
     values = {
         "code": band.combine(*(take(table.pseudorange_m, c) for c in code)),
-        "doppler": -wave[0] * _first_of(table.doppler_hz, carrier[0], code[0]),
+        "doppler": np.where(rows.slot == 0, rate, np.nan),
         "carrier": band.combine(*cycles),
     }
-    aux = _aux(table, states, ok, band, code, carrier)
+    aux = _aux(table, chosen, states, rows)
     own: dict[str, dict[str, npt.NDArray[np.generic]]] = {name: {} for name in values}
     if extra is not None:
-        values["carrier"] = values["carrier"] + extra.carrier_shift_m[ok]
-        aux["clk_node_s"] = extra.clock_node_s[ok]
-        own["code"] = {"model_m": extra.code_m[ok]}
+        values["carrier"] = values["carrier"] + extra.carrier_shift_m[rows.at]
+        aux["clk_node_s"] = extra.clock_node_s[rows.at]
+        own["code"] = {"model_m": rows.part(extra.code_m)}
         own["carrier"] = {
-            "model_m": extra.carrier_m[ok], "arc": extra.arc[ok], "arc_reason": extra.arc_reason[ok],
+            "model_m": rows.part(extra.carrier_m), "arc": extra.arc[rows.at],
+            "arc_reason": extra.arc_reason[rows.at],
         }  # fmt: skip
     out = {}
     for (name, y), letter in zip(values.items(), "CDL", strict=True):
         at = np.flatnonzero(np.isfinite(y))
         first, second = carrier if letter == "L" else code
         second = second[at] if letter != "D" else np.full(len(at), -1)
-        keys = _keys(table, chosen.sat[ok][at], letter, first[at], second)
-        out[name] = ok[at], keys, y[at], {k: v[at] for k, v in (aux | own[name]).items()}
+        keys = _keys(table, chosen.sat[rows.at[at]], letter, first[at], second)
+        out[name] = rows.at[at], keys, y[at], {k: v[at] for k, v in (aux | own[name]).items()}
     return out
 
 
@@ -184,24 +229,21 @@ def _first_of(values: FloatArray, *rows: Index) -> FloatArray:
 
 
 def _aux(
-    table: SignalTable,
-    states: SatelliteStates,
-    ok: Index,
-    band: Bands,
-    code: list[Index],
-    carrier: list[Index],
+    table: SignalTable, chosen: Chosen, states: SatelliteStates, rows: _Rows
 ) -> dict[str, npt.NDArray[np.generic]]:
-    lli = [np.where(c >= 0, table.lli[c], 0) for c in carrier]
+    at = rows.at
+    both = (chosen.carrier_first[at], chosen.carrier_second[at])
+    lli = [np.where(c >= 0, table.lli[c], 0) for c in both]
     return {
-        "sv_pos_m": states.position_m[ok],
-        "sv_vel_mps": states.velocity_mps[ok],
-        "sv_clk_m": states.clock_m[ok],
-        "sv_clk_rate_mps": states.clock_rate_mps[ok],
-        "sv_var_m2": states.variance_m2[ok],
-        "freq_hz": band.freq_hz,
-        "cn0_dbhz": _first_of(table.cn0_dbhz, carrier[0], code[0]),
+        "sv_pos_m": states.position_m[at],
+        "sv_vel_mps": states.velocity_mps[at],
+        "sv_clk_m": states.clock_m[at],
+        "sv_clk_rate_mps": states.clock_rate_mps[at],
+        "sv_var_m2": states.variance_m2[at],
+        "freq_hz": rows.band.freq_hz,
+        "cn0_dbhz": _first_of(table.cn0_dbhz, rows.carrier[0], rows.code[0]),
         "lli": (lli[0] | lli[1]).astype(np.int8),
-        "iono_factor": np.where(code[1] >= 0, 0.0, 1.0),
+        "iono_factor": rows.iono_factor,
     }
 
 

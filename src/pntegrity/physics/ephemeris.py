@@ -7,7 +7,9 @@ from typing import Any
 
 from pntegrity.physics.time import BDT_OFFSET_NS, BDT_WEEK, DAY_NS, WEEK_NS
 
-__all__ = ["MESSAGES", "accuracy_m", "is_possible", "sisa_is_index", "toc_ns", "toe_ns", "upload_s"]
+__all__ = [
+    "MESSAGES", "accuracy_m", "is_healthy", "is_possible", "sisa_is_index", "toc_ns", "toe_ns", "upload_s",
+]  # fmt: skip
 
 MESSAGES = frozenset({"gps_lnav", "qzss_lnav", "galileo_inav", "galileo_fnav", "beidou_d1", "beidou_d2"})
 """Messages whose clocks and group delays are understood here; CNAV and the like are left out."""
@@ -55,6 +57,12 @@ def _glonass_is_possible(record: Any) -> bool:
     push = math.hypot(*record.acceleration_m_s2)
     clock = abs(record.clock_bias_s) < CLOCK_S and abs(record.gamma_n) < 1e-6
     return bool(2.4e7 < radius < 2.7e7 and 1e3 < speed < 6e3 and push < 1e-4 and clock)
+
+
+def is_healthy(record: Any) -> bool:
+    """Return whether a Kepler message sets no health bit (QZSS: that of the L6 signal is left out)."""
+    health = int(record.sv_health)
+    return (health & ~1 if record.satellite[0] == "J" else health) == 0
 
 
 def accuracy_m(record: Any) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.physics._rows import rows_by_kind
-from pntegrity.physics.ephemeris import accuracy_m, toc_ns
+from pntegrity.physics.ephemeris import accuracy_m, is_healthy, toc_ns
 from pntegrity.physics.glonass import glonass_states
 from pntegrity.physics.group_delays import group_delay_s, wants_fnav
 from pntegrity.physics.signals import SPEED_OF_LIGHT_MPS
@@ -210,8 +210,7 @@ def _problem(record: Any, delay: float) -> str:
     """
     if record.satellite[0] == "R":
         return "" if record.is_healthy else "unhealthy"
-    health = int(record.sv_health)
-    if (health & ~1 if record.satellite[0] == "J" else health) != 0:
+    if not is_healthy(record):
         return "unhealthy"
     if np.isnan(accuracy_m(record)):
         return "no accuracy stated"

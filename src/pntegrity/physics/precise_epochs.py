@@ -14,7 +14,7 @@ from pntegrity.kernels import slips
 from pntegrity.physics._assembly import Bands, Extra, GnssEpochs, assemble, bands
 from pntegrity.physics._choice import Chosen, check_systems, choose, systems_left_out, window
 from pntegrity.physics.arcs import SlipLimits, arcs_of, clock_resets_m
-from pntegrity.physics.corrections import Antennas, Site, corrections_m, sky_of
+from pntegrity.physics.corrections import Antennas, Corrections, Site, corrections_m, sky_of
 from pntegrity.physics.orbits import SatelliteStates
 from pntegrity.physics.precise import NO_CLOCK, NO_ORBIT, clock_nodes_s, clock_pieces, precise_states
 from pntegrity.physics.products import (
@@ -26,6 +26,7 @@ from pntegrity.physics.products import (
     ReceiverAntenna,
 )
 from pntegrity.physics.signals import CLOCK_SIGNALS, SPEED_OF_LIGHT_MPS, WORDS, frequency_hz
+from pntegrity.physics.ssr import SsrBiases
 from pntegrity.physics.tables import SignalTable
 from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import Epoch, FloatArray
@@ -35,6 +36,7 @@ __all__ = ["Products", "SiteFacts", "precise_epochs"]
 TRACK_NS = 60 * SECOND_NS
 """Positions along the way are made this far apart."""
 Locate = Callable[[Sequence[Epoch]], FloatArray]
+Join = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,7 @@ def precise_epochs(
     end_ns: int | None = None,
     site: SiteFacts | None = None,
     channels: Mapping[str, int] | None = None,
+    combined: bool = True,
 ) -> GnssEpochs:
     """Return the epochs of a signal table with precise satellite positions, clocks and corrections.
 
@@ -84,11 +87,16 @@ def precise_epochs(
     site : SiteFacts, optional
     channels : mapping of str to int, optional
         GLONASS channels that the file does not give.
+    combined : bool
+        False: pairs are not combined, a satellite has a row of code and one of carrier on either band.
 
     Returns
     -------
     GnssEpochs
-        As `gnss_epochs` gives with ``ionosphere_free``. `aux` has also ``model_m`` (to be added to
+        As `gnss_epochs` gives with ``ionosphere_free``, or uncombined: keys ``"G05:C1W"``, ``"G05:C2W"``,
+        ``"G05:L1C"``, ``"G05:L2W"``; ``iono_factor`` is then the delay in units of that on the satellite's
+        first band. Clocks refer to the ionosphere-free combination of `CLOCK_SIGNALS`, so that uncombined
+        delays of the ionosphere contain the satellites' biases between these two codes. `aux` has also ``model_m`` (to be added to
         predictions: antennas, tides, wind-up, path delay, code biases); of ``"carrier"``: ``arc`` and
         ``arc_reason``; of all ``clk_node_s``, the time since the last and until the next sample of the
         satellite's clock (n, 2).
@@ -108,8 +116,8 @@ def precise_epochs(
     channels = {**(channels or {}), **table.glonass_channels}
     rough, _ = assemble(table, channels, *_thinned(t_ns, table, chosen, states, reasons))
     track = _track(t_ns, rough, locate)
-    extra, notes = _extra(table, channels, products, site, chosen, states, t_ns, track)
-    epochs, counted = assemble(table, channels, t_ns, chosen, states, reasons, extra)
+    extra, notes = _extra(table, channels, products, site, chosen, states, t_ns, track, combined)
+    epochs, counted = assemble(table, channels, t_ns, chosen, states, reasons, extra, combined)
     return GnssEpochs(epochs, (*systems_left_out(table, systems), *products.notes, *notes, *counted), None)
 
 
@@ -176,7 +184,7 @@ def _track(t_ns: npt.NDArray[np.int64], rough: Sequence[Epoch], locate: Locate) 
 
 def _extra(
     table: SignalTable, channels: Mapping[str, int], products: Products, facts: SiteFacts, chosen: Chosen,
-    states: SatelliteStates, t_ns: npt.NDArray[np.int64], track_m: FloatArray,
+    states: SatelliteStates, t_ns: npt.NDArray[np.int64], track_m: FloatArray, combined: bool,
 ) -> tuple[Extra, list[str]]:  # fmt: skip
     everything = np.arange(len(chosen))
     band = bands(table, channels, chosen, everything)
@@ -185,7 +193,9 @@ def _extra(
     shift, resets = clock_resets_m(table, chosen, band, order)
     piece = clock_pieces(products.clocks, chosen.sat, table.t_ns[chosen.epoch])
     arcs = arcs_of(table, chosen, band, order, piece, shift, facts.limits)
-    code, carrier, notes = _models(table, products, facts, chosen, states, t_ns, track_m, band, order)
+    inner = Bands(band.freq_hz[order], band.freq2_hz[order])
+    join = inner.combine if combined else _side_by_side
+    code, carrier, notes = _models(table, products, facts, chosen, states, t_ns, track_m, band, order, join)
     if resets:
         notes.append(f"{resets} jumps of the receiver clock in code only: carriers moved along")
     nodes = clock_nodes_s(products.clocks, chosen.sat, table.t_ns[chosen.epoch])
@@ -201,25 +211,48 @@ def _slips_in_words(reason: npt.NDArray[np.int64]) -> list[str]:
 
 def _models(
     table: SignalTable, products: Products, facts: SiteFacts, chosen: Chosen, states: SatelliteStates,
-    t_ns: npt.NDArray[np.int64], track_m: FloatArray, band: Bands, order: npt.NDArray[np.intp],
+    t_ns: npt.NDArray[np.int64], track_m: FloatArray, band: Bands, order: npt.NDArray[np.intp], join: Join,
 ) -> tuple[FloatArray, FloatArray, list[str]]:  # fmt: skip
-    """Return what is to be added to predicted code and carrier, combined, and notes."""
+    """Return what is to be added to predicted code and carrier, of both bands as `join` has it, and notes."""
     site = Site(track_m, table.antenna_delta_hen_m, facts.antenna, facts.ocean, facts.pole, facts.tides)
     first = int(np.searchsorted(table.t_ns, t_ns[0]))
     sky = sky_of(t_ns, chosen.epoch[order] - first, chosen.sat[order], states.position_m[order], site)
     both = []
     notes: list[str] = []
-    for rows, wave in zip((chosen.first, chosen.second), band.wavelengths_m, strict=True):
+    for slot, (rows, wave) in enumerate(
+        zip((chosen.first, chosen.second), band.wavelengths_m, strict=True)
+    ):
         names = table.signal[rows[order]].astype("<U1")
         part = corrections_m(sky, names, wave[order], site, products.antennas)
-        both.append(part)
+        both.append(_with_signal_biases(part, table, products.biases, chosen, order, slot))
         notes += part.notes
-    code, carrier = np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
-    inner = Bands(band.freq_hz[order], band.freq2_hz[order])
-    code[order] = inner.combine(both[0].code_m, both[1].code_m)
-    carrier[order] = inner.combine(both[0].carrier_m, both[1].carrier_m)
-    code[order] += inner.combine(*_biases(table, products.biases, chosen, order, notes))
+    found = join(both[0].code_m, both[1].code_m) + join(*_biases(table, products.biases, chosen, order, notes))
+    code = np.full((len(chosen), *found.shape[1:]), np.nan)
+    carrier = code.copy()
+    code[order] = found
+    carrier[order] = join(both[0].carrier_m, both[1].carrier_m)
     return code, carrier, list(dict.fromkeys(notes))
+
+
+def _with_signal_biases(
+    part: Corrections, table: SignalTable, biases: object, chosen: Chosen, order: npt.NDArray[np.intp],
+    slot: int,
+) -> Corrections:  # fmt: skip
+    """Return corrections of one band with the biases that a service tells of its code and carrier."""
+    if not isinstance(biases, SsrBiases):
+        return part
+    sats, t_ns = chosen.sat[order], table.t_ns[chosen.epoch[order]]
+    code = table.signal[(chosen.first, chosen.second)[slot][order]]
+    carrier = table.signal[(chosen.carrier_first, chosen.carrier_second)[slot][order]]
+    return replace(
+        part,
+        code_m=part.code_m + biases.of_m("code", sats, code, t_ns),
+        carrier_m=part.carrier_m + biases.of_m("phase", sats, carrier, t_ns),
+    )
+
+
+def _side_by_side(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.stack([first, second], axis=1)
 
 
 def _biases(

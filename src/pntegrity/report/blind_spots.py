@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pntegrity.exclusion import SEPARATION
 from pntegrity.protocols import Monitor
 from pntegrity.report.units import duration, length
 from pntegrity.sensors.noise import NoiseModel
@@ -34,13 +35,39 @@ def blind_spots(
         Those that run.
     """
     if estimator == "spp":
-        return (
+        spots: tuple[str, ...] = (
             "Every epoch stands alone: a fault is seen only by its contradiction to the other satellites of "
             "that epoch.",
         )
-    if estimator == "ppp":
-        return _precise(noise, motion, monitors)
-    return _code(noise)
+    elif estimator in ("ppp", "ppp_rtk"):
+        spots = _precise(noise, motion, monitors)
+    else:
+        spots = _code(noise)
+    return (*spots, *(_products(noise) if estimator == "ppp_rtk" else ()), *_separation(monitors))
+
+
+def _products(noise: NoiseModel) -> tuple[str, ...]:
+    """Say what is hidden by the bias states of atmosphere products."""
+    if noise.product_tau_s > 0.0:
+        return (
+            "An error of an atmosphere product is taken for its bias, which is expected to be of the stated "
+            f"size over {duration(noise.product_tau_s)}: errors of that size and duration are not faults.",
+        )
+    return (
+        "Errors of atmosphere products are taken for white. Those of real products last for minutes: sigmas "
+        "and protection levels are then too small.",
+    )
+
+
+def _separation(monitors: Sequence[Monitor]) -> tuple[str, ...]:
+    """Say what the comparison of solutions leaves to the protection levels."""
+    if not any(m.name == SEPARATION for m in monitors):
+        return ()
+    return (
+        "SEPARATION sees a fault where it moves the position by more than its thresholds. What moves it less "
+        "goes unseen and is covered by the protection levels, for the fault modes of the integrity support "
+        "message and no others.",
+    )
 
 
 def _code(noise: NoiseModel) -> tuple[str, ...]:

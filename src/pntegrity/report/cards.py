@@ -15,8 +15,12 @@ from pntegrity.report.story import Sentence
 from pntegrity.report.summary import headline
 from pntegrity.report.units import duration, length
 
-__all__ = ["details", "escaped", "header", "monitor_table", "section", "story_list", "whiteness_table"]
+__all__ = [
+    "details", "escaped", "flat", "header", "monitor_table", "percent", "section", "story_list",
+    "whiteness_table",
+]  # fmt: skip
 
+Figures = tuple[str, str, str, str]
 WHITE_ENOUGH = 0.1
 """Autocorrelations below this are called white."""
 
@@ -31,8 +35,8 @@ def section(title: str, inside: str, there: bool = True) -> str:
     return "" if not there else f"<section><h2>{escaped(title)}</h2>{inside}</section>"
 
 
-def header(numbers: Mapping[str, Any], facts: RunFacts) -> str:
-    """Return the verdict on the run and its main figures."""
+def header(numbers: Mapping[str, Any], facts: RunFacts, more: Sequence[Figures] = ()) -> str:
+    """Return the verdict on the run and its main figures; `more` follow them (label, value, unit, note)."""
     title, detail, tone = headline(numbers)
     span = (
         f"{numbers['started']} to {numbers['ended']} GPS time".replace("T", " ")
@@ -48,7 +52,7 @@ def header(numbers: Mapping[str, Any], facts: RunFacts) -> str:
         f"<header class='{tone}'><p class='eyebrow'>pntegrity <span>integrity report</span></p>"
         f"<h1>{escaped(title)}</h1><p class='lead'>{escaped(detail)}</p>"
         f"<p class='chips'>{''.join(f'<span>{escaped(c)}</span>' for c in chips if c)}</p>"
-        f"<dl class='figures'>{''.join(_number(*n) for n in _numbers(numbers))}</dl></header>"
+        f"<dl class='figures'>{''.join(_number(*n) for n in (*_numbers(numbers), *more))}</dl></header>"
     )
 
 
@@ -65,7 +69,7 @@ def _numbers(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     out = [
         (
             "Tested and OK",
-            _percent(ok["share"]),
+            percent(ok["share"]),
             "%",
             f"{ok['epochs']} of {s['epochs']} epochs, {untested} untested",
         ),
@@ -101,7 +105,7 @@ def _accuracy(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     return [("Horizontal sigma", value, name, note)]
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """Return a share in per cent, rounded down: 100 means all."""
     return f"{math.floor(1000.0 * share + 1e-9) / 10.0:g}"
 
@@ -201,7 +205,7 @@ def _signed(r: float) -> str:
 def details(facts: RunFacts) -> str:
     """Return configuration and notes, folded."""
     rows = "".join(
-        f"<tr><th>{escaped(k)}</th><td class='word'>{escaped(v)}</td></tr>" for k, v in _flat(facts.config)
+        f"<tr><th>{escaped(k)}</th><td class='word'>{escaped(v)}</td></tr>" for k, v in flat(facts.config)
     )
     out = (
         f"<details><summary>Configuration</summary><table class='config'>{rows}</table></details>"
@@ -215,12 +219,12 @@ def details(facts: RunFacts) -> str:
     return f"<section class='small'>{out}</section>" if out else ""
 
 
-def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """Return a nested mapping as dotted names and values."""
     out: list[tuple[str, str]] = []
     for key, value in config.items():
         if isinstance(value, Mapping) and value:
-            out += _flat(value, f"{prefix}{key}.")
+            out += flat(value, f"{prefix}{key}.")
         else:
             text = value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
             out.append((f"{prefix}{key}", text))

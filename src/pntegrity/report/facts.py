@@ -37,6 +37,17 @@ class RunFacts:
         GPS time of the first epoch, ISO format.
     interrupted : bool
         Whether the run was stopped before its end.
+    protection : mapping
+        What the protection levels assume and promise, plain values as an integrity support message gives
+        them: ``p_hmi``, ``independent_epochs``, ``split``, ``p_fa``, ``p_sat``, ... and the alert limits
+        ``hal_m`` and ``val_m``.
+    products : tuple of str
+        Which atmosphere products were used, and whether they are self-derived, a line each.
+
+    Raises
+    ------
+    ValueError
+        Where the truth has another shape, or an alert limit is not a positive number.
     """
 
     estimator: str = ""
@@ -48,6 +59,8 @@ class RunFacts:
     faults: tuple[str, ...] = ()
     started: str = ""
     interrupted: bool = False
+    protection: Mapping[str, Any] = field(default_factory=dict)
+    products: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.truth_m is not None:
@@ -55,6 +68,14 @@ class RunFacts:
             if truth.ndim != 2 or truth.shape[1] != 3:
                 raise ValueError(f"`truth_m` must have the shape (n_epochs, 3), not {truth.shape}")
             object.__setattr__(self, "truth_m", frozen(truth))
+        for name in ("hal_m", "val_m"):
+            if not self.alert_limit(name) > 0.0:
+                raise ValueError(f"`protection`: {name} must be positive, not {self.protection[name]}")
+
+    def alert_limit(self, name: str) -> float:
+        """Return the alert limit ``hal_m`` or ``val_m``, inf where there is none."""
+        limit = self.protection.get(name)
+        return float("inf") if limit is None else float(limit)
 
     def truth(self, n: int) -> FloatArray:
         """Return the truth of the first `n` epochs, shape (n, 3), nan where it is not known."""

@@ -15,7 +15,7 @@ from pntegrity.errors import InputError
 from pntegrity.formats.atomic import write_text
 from pntegrity.physics.signals import WORDS
 from pntegrity.pipeline import Outcome
-from pntegrity.report import figures, panels, precise, sky
+from pntegrity.report import figures, panels, precise, protection_cards, protection_figures, sky
 from pntegrity.report.cards import (
     details,
     escaped,
@@ -27,6 +27,7 @@ from pntegrity.report.cards import (
 )
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.figures import Figure, Frame, array, frame
+from pntegrity.report.protection import Protected, protected
 from pntegrity.report.story import story
 from pntegrity.report.summary import committed, headline, summary
 from pntegrity.report.tables import solution
@@ -55,7 +56,8 @@ def page(
 ) -> str:
     """Return the report as text, from the outcomes and what `summary` and `solution` made of them."""
     f = frame(outcomes) if outcomes else None
-    shown = _figures(f, numbers, table) if f is not None else []
+    p = protected(table, facts)
+    shown = _figures(f, numbers, table, p) if f is not None else []
     data = {
         "t": array(f.x_ms, exact=True) if f is not None else None,
         "figures": [s.as_json() for s in shown],
@@ -68,9 +70,10 @@ def page(
         "<meta name='color-scheme' content='light dark'>",
         f"<title>{escaped(headline(numbers)[0])} · pntegrity</title>",
         f"<style>{(assets / 'report.css').read_text(encoding='utf-8')}</style></head><body><main>",
-        header(numbers, facts),
+        header(numbers, facts, [protection_cards.card(numbers)] if p is not None else ()),
         section("When it could be trusted", _figure("status", _STATUS)) if shown else "",
-        story_list(story(outcomes, facts), facts),
+        story_list(story(outcomes, facts, table), facts),
+        _protection(p, numbers, facts) if p is not None else "",
         _body(shown, f, numbers, facts) if f is not None else "",
         details(facts),
         "</main>",
@@ -99,8 +102,10 @@ def _plotly() -> str:
     raise InputError("the report needs plotly, which is not installed", hint="pip install plotly")
 
 
-def _figures(f: Frame, numbers: Mapping[str, Any], table: pl.DataFrame) -> list[Figure]:
+def _figures(f: Frame, numbers: Mapping[str, Any], table: pl.DataFrame, p: Protected | None) -> list[Figure]:
     shown = [figures.status(f), panels.monitors(f, numbers["monitors"])]
+    shown += [protection_figures.levels(f, p)] if p is not None else []
+    shown += [protection_figures.diagram(a) for a in p.axes] if p is not None and p.has_truth else []
     shown += [figures.timeline(f)] if f.gone else []
     shown += [figures.satellites(f), figures.used(f, table), precise.arcs(f, committed(f.outcomes))]
     shown += [panels.position(f, table), precise.troposphere(f, table), sky.sky(f)]
@@ -108,6 +113,28 @@ def _figures(f: Frame, numbers: Mapping[str, Any], table: pl.DataFrame) -> list[
 
 
 # --- the parts of the page --------------------------------------------------------------------------------
+
+
+def _protection(p: Protected, numbers: Mapping[str, Any], facts: RunFacts) -> str:
+    pair = "".join(
+        f"<div><h3>{a.name.capitalize()}</h3>{_figure(f'stanford-{a.name}', '')}</div>" for a in p.axes
+    )
+    stanford = f"<figcaption>{_STANFORD}</figcaption><div class='pair'>{pair}</div>"
+    if p.has_truth:
+        stanford += protection_cards.region_table(numbers)
+    else:
+        stanford = f"<p class='quiet'>{_NO_STANFORD}</p>"
+    return "\n".join(
+        [
+            section(
+                "Protection levels" + " against errors" * p.has_truth,
+                _figure("levels", _LEVELS) + protection_cards.level_table(numbers),
+            ),
+            section("Stanford diagram", stanford),
+            section("Which fault sets the level", protection_cards.mode_table(numbers)),
+            section("What the levels promise", protection_cards.promise(numbers, facts)),
+        ]
+    )
 
 
 def _body(shown: Sequence[Figure], f: Frame, numbers: Mapping[str, Any], facts: RunFacts) -> str:
@@ -132,6 +159,7 @@ def _body(shown: Sequence[Figure], f: Frame, numbers: Mapping[str, Any], facts: 
             section("Carrier arcs", _figure("arcs", _ARCS), "arcs" in there),
             section("Position", _figure("position", error)),
             section("Troposphere", _figure("troposphere", _WET), "troposphere" in there),
+            section("Atmosphere products", protection_cards.product_list(facts), bool(facts.products)),
             "<div class='pair'>",
             section("Sky", _legend(f) + _figure("sky", _SKY), "sky" in there),
             section("Can the false-alarm rates be believed?", whiteness_table(numbers, facts)),
@@ -140,6 +168,18 @@ def _body(shown: Sequence[Figure], f: Frame, numbers: Mapping[str, Any], facts: 
     )  # fmt: skip
 
 
+_LEVELS = (
+    "An error may be beyond its level only with the stated risk, or with an alert (shaded orange). "
+    "Logarithmic. Shaded grey: no level."
+)
+_STANFORD = (
+    "A cell for each error and level that occurred, stronger where there were more epochs. Above the "
+    "diagonal the error is within its level. Epochs with an alert are left out; levels without a bound are "
+    "in the upper row. A cross marks each error beyond its level."
+)
+_NO_STANFORD = (
+    "Left out: it holds protection levels against true errors, and no truth was given (option --truth)."
+)
 _STATUS = "After exclusion. Drag along any time axis to zoom all of them; double-click to go back."
 _SKY = "A point every 30 s and wherever satellites come or go. Orange: left out there."
 _MONITORS = (

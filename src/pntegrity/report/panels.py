@@ -12,7 +12,7 @@ import polars as pl
 from pntegrity.records import FloatArray, Verdict
 from pntegrity.report.figures import Figure, Frame, array, axes, safe
 
-__all__ = ["band", "half_range", "label", "log_range", "monitors", "position"]
+__all__ = ["band", "half_range", "label", "log_range", "monitors", "position", "shaded"]
 
 
 def monitors(f: Frame, counts: Sequence[dict[str, Any]]) -> Figure:
@@ -124,18 +124,23 @@ def label(text: str, top: float) -> dict[str, Any]:
 
 
 def _untested(f: Frame, verdicts: list[Verdict], domain: tuple[float, float]) -> list[dict[str, Any]]:
+    return shaded(f, [v.status == "unavailable" for v in verdicts], domain, "--na-fill")
+
+
+def shaded(
+    f: Frame, which: Sequence[bool], domain: tuple[float, float], tone: str, most: int = 400
+) -> list[dict[str, Any]]:
+    """Return a shade behind a panel over each stretch of outcomes that is true, the longest `most`."""
+    runs = [list(run) for true, run in groupby(range(len(which)), key=lambda i: bool(which[i])) if true]
     shapes = []
-    for untested, run in groupby(range(len(verdicts)), key=lambda i: verdicts[i].status == "unavailable"):
-        if untested:
-            at = list(run)
-            begin, width = f.span(at[0], at[-1] + 1)
-            shapes.append(
-                {
-                    "type": "rect", "x0": begin, "x1": begin + width, "yref": "paper", "y0": domain[0],
-                    "y1": domain[1],
-                    "fillcolor": "--na-fill", "line": {"width": 0}, "layer": "below",
-                }
-            )  # fmt: skip
+    for at in sorted(runs, key=len, reverse=True)[:most]:
+        begin, width = f.span(at[0], at[-1] + 1)
+        shapes.append(
+            {
+                "type": "rect", "x0": begin, "x1": begin + width, "yref": "paper", "y0": domain[0],
+                "y1": domain[1], "fillcolor": tone, "line": {"width": 0}, "layer": "below",
+            }
+        )  # fmt: skip
     return shapes
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from pntegrity.estimators._precise_filter import LEFT_OUT
 from pntegrity.records import Update, group_of
 from pntegrity.report.figures import LANE_PX, UNIX_GPS_MS, Figure, Frame, array, axes, colour, ordered, safe
 from pntegrity.report.panels import band, label
@@ -58,7 +59,7 @@ def _group(name: str) -> str:
 def _cause(u: Update, name: str, alive: dict[str, tuple[str, int]]) -> str:
     if u.is_start:
         return "start"
-    if name in alive or name.endswith("~") or f"{name}~" in alive:
+    if name in alive or name.endswith(LEFT_OUT) or name + LEFT_OUT in alive:
         return "left out"
     return "cut" if _group(name) in map(_group, alive) else "view"
 

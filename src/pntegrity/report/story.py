@@ -9,13 +9,17 @@ from itertools import groupby
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
+import polars as pl
 
-from pntegrity.exclusion import Exclusion
+from pntegrity.exclusion import SEPARATION, Exclusion
 from pntegrity.physics.time import DAY_NS, to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
-from pntegrity.report.tables import groups_in
-from pntegrity.report.units import length
+from pntegrity.report.levels import has_bounds
+from pntegrity.report.protection import Protected, protected
+from pntegrity.report.tables import groups_in, solution
+from pntegrity.report.units import length, level_text
 
 __all__ = ["Absence", "Sentence", "absences", "cause_text", "clock_time", "names", "span_text", "story"]
 
@@ -48,8 +52,12 @@ class Absence:
     back: bool
 
 
-def story(outcomes: Sequence[Outcome], facts: RunFacts) -> tuple[Sentence, ...]:
-    """Return what happened, in order of time: starts, exclusions, alerts, untested stretches, gaps."""
+def story(
+    outcomes: Sequence[Outcome], facts: RunFacts, table: pl.DataFrame | None = None
+) -> tuple[Sentence, ...]:
+    """Return what happened, in order of time: starts, exclusions, alerts, untested stretches, gaps, and how
+    the protection levels did; `table` is what `solution` gives, where it is at hand.
+    """
     if not outcomes:
         return (Sentence(0, 0, "end", "No epoch was processed."),)
     date = outcomes[-1].t_ns // DAY_NS != outcomes[0].t_ns // DAY_NS
@@ -59,8 +67,12 @@ def story(outcomes: Sequence[Outcome], facts: RunFacts) -> tuple[Sentence, ...]:
         *_stretches(outcomes, date),
         *_gaps(outcomes, date),
     ]
+    p = None
+    if has_bounds(outcomes):
+        p = protected(solution(outcomes, facts) if table is None else table, facts)
+    found += _levels(outcomes, p, date) if p is not None else []
     found.sort(key=lambda s: (s.start_ns, s.end_ns))
-    return (*found, *_end(outcomes, facts, date))
+    return (*found, *(_kept(outcomes, p, date) if p is not None else ()), *_end(outcomes, facts, date))
 
 
 def clock_time(t_ns: int, date: bool = False) -> str:
@@ -87,6 +99,8 @@ def names(groups: Sequence[str], most: int = 6) -> str:
 def cause_text(e: Exclusion) -> str:
     """Return which test excluded a group, and the fault: ``GLR: ramp 0.20 m/s``."""
     test = "epoch test" if e.monitor == "subset" else e.monitor.upper()
+    if e.kind == SEPARATION:
+        return f"{test}: {'bias' if e.monitor == 'subset' else 'positions apart by'} {length(e.size)}"
     return f"{test}: {e.kind} {length(e.size, '/s' if e.kind == 'ramp' else '')}"
 
 
@@ -178,6 +192,9 @@ def _cause(e: Exclusion, date: bool, now_ns: int) -> str:
 def _effect(o: Outcome) -> str:
     back = "the last epoch" if o.rewound == 1 else f"the last {o.rewound} epochs"
     repaired = f"filter run again over {back}, " if o.rewound else ""
+    if o.update.switched:
+        who = "it" if len(o.update.switched) == 1 else "them"
+        repaired += f"filter goes on from the subfilter that never used {who}, "
     kept = (
         "position kept"
         if o.status == "ok"
@@ -241,6 +258,71 @@ def _gaps(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
         a, b = int(t[i]), int(t[i + 1])
         missing = max(round((b - a) / usual) - 1, 1)
         yield Sentence(a, b, "gap", f"{span_text(a, b, date)}: no data ({missing} epochs missing).")
+
+
+def _levels(outcomes: Sequence[Outcome], p: Protected, date: bool) -> Iterator[Sentence]:
+    """Yield where levels were of no use, and where an error was beyond its own without an alert."""
+    large = p.ok & p.given & ~p.unbounded & ~p.available
+    for which, kind, tell in (
+        (p.unbounded & ~p.misleading, "unavailable", _no_level),
+        (large & ~p.misleading, "unavailable", _large_level),
+        (p.misleading, "alert", _misled),
+    ):
+        runs = _runs(which)
+        if len(runs) > OFTEN:
+            runs = [(runs[0][0], runs[-1][1])]
+        for start, stop in runs:
+            first, last = outcomes[start].t_ns, outcomes[stop - 1].t_ns
+            inside = np.flatnonzero(which[start:stop]) + start
+            often = f" ({len(inside)} epochs)" if len(inside) < stop - start else ""
+            text = f"{span_text(first, last, date)}: {tell(p, inside)}{often}."
+            yield Sentence(first, last, kind, text)  # type: ignore[arg-type]
+
+
+def _runs(which: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and past-the-last index of each stretch that is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _no_level(p: Protected, at: npt.NDArray[np.intp]) -> str:
+    why = Counter(p.reason[i] for i in at.tolist() if p.reason[i]).most_common(1)
+    return "no finite protection level" + (f" ({why[0][0]})" if why else "")
+
+
+def _large_level(p: Protected, at: npt.NDArray[np.intp]) -> str:
+    said = [
+        f"{a.name} up to {length(float(a.level[at].max()))} against {length(a.limit)}"
+        for a in p.axes
+        if (a.level[at] > a.limit).any()
+    ]
+    return f"protection level beyond the alert limit ({names(said)})"
+
+
+def _misled(p: Protected, at: npt.NDArray[np.intp]) -> str:
+    said = []
+    for a in p.axes:
+        beyond = at[a.beyond[at]]
+        if len(beyond):
+            worst = beyond[np.argmax(a.error[beyond] / a.level[beyond])]
+            size, level = length(float(a.error[worst])), length(float(a.level[worst]))
+            said.append(f"{a.name} {size} against {level}")
+    return f"error beyond its protection level without an alert (worst {names(said)})"
+
+
+def _kept(outcomes: Sequence[Outcome], p: Protected, date: bool) -> Iterator[Sentence]:
+    """Yield how large the levels were, and whether they held."""
+    level = (level_text(float(np.quantile(a.level[p.given], 0.5, method="higher"))) for a in p.axes)
+    text = "protection levels of {} horizontal and {} vertical (median)".format(*level)
+    compared, misled = int(p.compared.sum()), int(p.misleading.sum())
+    if not p.has_truth:
+        text += "; no truth was given to hold them against"
+    elif misled:
+        text += f"; the error was beyond them without an alert at {misled} of {compared} epochs"
+    else:
+        text += f"; the error never left them without an alert ({compared} epochs compared)"
+    first, last = outcomes[0].t_ns, outcomes[-1].t_ns
+    yield Sentence(first, last, "alert" if misled else "end", f"{span_text(first, last, date)}: {text}.")
 
 
 def _end(outcomes: Sequence[Outcome], facts: RunFacts, date: bool) -> Iterator[Sentence]:

@@ -14,6 +14,7 @@ from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, Update, Verdict
 from pntegrity.report.facts import RunFacts
+from pntegrity.report.protection import protection
 from pntegrity.report.story import absences, names, story
 from pntegrity.report.tables import family_counts, groups_in, solution
 
@@ -60,6 +61,8 @@ def summary(
     position       null without truth; else ``e``, ``n``, ``u``, ``h``: ``{"rms_m", "p95_m", "max_m"}`` and
                    ``epochs``, the number of epochs compared
     sigma_m        mean standard deviation of ``e``, ``n``, ``u`` as the filter states it; null where unknown
+    protection     see `pntegrity.report.protection.protection`; null where no monitor gives levels
+    products       which atmosphere products were used, in words
     whiteness      see `pntegrity.evaluate.whiteness.whiteness`
     notes          what the readers dropped
     events         what happened, in words
@@ -96,9 +99,11 @@ def summary(
         "satellites": _satellites(outcomes),
         "position": _position({a: table[f"error_{a}_m"].to_numpy() for a in "enuh"}),
         "sigma_m": {a: table[f"sigma_{a}_m"].mean() for a in "enu"},
+        "protection": protection(outcomes, table, facts),
+        "products": list(facts.products),
         "whiteness": whiteness(committed(outcomes)),
         "notes": list(facts.notes),
-        "events": [s.text for s in story(outcomes, facts)],
+        "events": [s.text for s in story(outcomes, facts, table)],
     }  # fmt: skip
 
 
@@ -172,6 +177,9 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
     left_out = f"{gone} left out for a time." if numbers["exclusions"] else "Nothing was excluded."
     if not n:
         return "No epoch was processed", f"There is nothing to judge.{cut}", "unavailable"
+    misled = _misled(numbers)
+    if misled:
+        return f"Misleading at {misled} of {n} epochs", f"{_beyond(numbers)}{cut}", "alert"
     if alerts:
         what = (
             "No exclusion could resolve the alarms there."
@@ -200,6 +208,19 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
         f"Every epoch was tested by at least one monitor. {left_out}{cut}",
         "ok",
     )
+
+
+def _misled(numbers: Mapping[str, Any]) -> int:
+    """Return at how many epochs the error was beyond its protection level without an alert."""
+    p = numbers["protection"]
+    return p["misleading"]["epochs"] if p and p["misleading"] else 0
+
+
+def _beyond(numbers: Mapping[str, Any]) -> str:
+    hazardous, alerts = numbers["protection"]["misleading"]["hazardous"], numbers["availability"]["alert"]
+    limit = f" At {hazardous} of them it was beyond the alert limit too." if hazardous else ""
+    others = f" Alerts stand at {alerts['epochs']} other epochs." if alerts["epochs"] else ""
+    return f"The error was beyond its protection level there, and no alert was given.{limit}{others}"
 
 
 def _also(untested: int) -> str:

@@ -1,8 +1,8 @@
 """Outcomes as tables (polars): the solution, what the monitors said, what was excluded.
 
 A table tells what was known at the time: an epoch that a later repair went over keeps the row it had. Where a
-number is not known there is a null, never a nan. Time is ``t_ns`` (ns of GPS time) and ``time_gps`` (the
-same, ISO format).
+number is not known there is a null, never a nan; a protection level without a bound is inf. Time is ``t_ns``
+(ns of GPS time) and ``time_gps`` (the same, ISO format).
 """
 
 from __future__ import annotations
@@ -16,12 +16,15 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
+from pntegrity.exclusion import SEPARATION
 from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.frames import ecef_to_geodetic, enu_rotations
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, Suspect, Verdict, group_of
 from pntegrity.report.facts import RunFacts
+from pntegrity.report.levels import bounds_of, level_columns
+from pntegrity.report.units import length
 
 __all__ = ["exclusions", "family_counts", "groups_in", "solution", "suspect_text", "verdicts"]
 
@@ -48,7 +51,9 @@ def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
     ``sigma_e_m``, ... are the filter's own standard deviations; ``error_h_m`` is the horizontal error;
     ``clk_m`` the clock of the constellation ``clk_system``, ``isb_<X>_m`` what constellation X differs from
     it. ``zwd_m`` is the zenith wet delay, ``n_arcs`` counts ambiguities, ``n_arcs_born`` those born at this
-    epoch.
+    epoch. ``hpl_m``, ``vpl_m``, ``pl_east_m``, ... are the protection levels, ``pl_mode`` is the fault mode
+    that dominates the largest of them, ``pl_exceeded`` tells whether the error is beyond the horizontal or
+    the vertical one.
     """
     position, P = _positions(outcomes)
     there = _earth_fixed(position)
@@ -73,6 +78,7 @@ def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
         "excluded": pl.Series([",".join(u.excluded) for u in updates], dtype=pl.String),
         **{f"error_{a}_m": _column(error[:, i]) for i, a in enumerate(ENU)},
         "error_h_m": _column(np.hypot(error[:, 0], error[:, 1])),
+        **_protection(outcomes, error),
         "reason": pl.Series([o.reason for o in outcomes], dtype=pl.String),
     }
     return pl.DataFrame(columns)
@@ -130,6 +136,17 @@ def _clocks(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
     }
 
 
+def _protection(outcomes: Sequence[Outcome], error_m: FloatArray) -> dict[str, pl.Series]:
+    """Return the protection levels, and whether the errors (n, 3) are beyond them."""
+    levels = level_columns(bounds_of(outcomes))
+    horizontal, vertical = (levels[name].fill_null(np.nan).to_numpy() for name in ("hpl_m", "vpl_m"))
+    size = np.hypot(error_m[:, 0], error_m[:, 1]), np.abs(error_m[:, 2])
+    known = ~np.isnan(np.stack([*size, horizontal, vertical])).any(axis=0)
+    beyond = (size[0] > horizontal) | (size[1] > vertical)
+    told = [bool(b) if k else None for b, k in zip(beyond, known, strict=True)]
+    return levels | {"pl_exceeded": pl.Series(told, dtype=pl.Boolean)}
+
+
 def _precise(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
     """Return the wet delay, its gradients where there are any, and how many arcs are followed."""
     updates = [o.update for o in outcomes]
@@ -155,7 +172,13 @@ def _sigma(outcomes: Sequence[Outcome], name: str) -> FloatArray:
 
 
 def suspect_text(s: Suspect) -> str:
-    """Say who may be at fault and how: ``G05 ramp 0.10/s since 06:20:01 (explains 45.2)``."""
+    """Say who may be at fault and how: ``G05 ramp 0.10/s since 06:20:01 (explains 45.2)``, or ``G05
+    separation 2.1 m (rest at 0.85 of what is allowed)``.
+    """
+    if s.kind == SEPARATION:
+        return (
+            f"{'+'.join(s.groups)} separation {length(s.size)} (rest at {s.statistic:.2f} of what is allowed)"
+        )
     rate = "/s" if s.kind == "ramp" else ""
     digits = ".2f" if abs(s.size) >= 0.1 else "#.2g"
     size = f"{s.size:{digits}}{rate} since {to_iso(s.onset_ns)[11:]}"
@@ -166,6 +189,7 @@ def verdicts(outcomes: Sequence[Outcome]) -> pl.DataFrame:
     """Return one row an epoch and monitor, and the first look (`final` false) where exclusion changed it.
 
     `statistic` and `threshold` are null where no test was made; `suspects` in words, the most likely first.
+    ``hpl_m``, ``vpl_m``, ``pl_east_m``, ... are the levels of each verdict, null where it gives none.
     """
     rows: list[tuple[Verdict, bool]] = []
     for o in outcomes:
@@ -199,20 +223,37 @@ def verdict_frame(found: Sequence[Verdict]) -> pl.DataFrame:
             "suspects": pl.Series(["; ".join(map(suspect_text, v.suspects)) for v in found], dtype=pl.String),
             "ambiguous": pl.Series([v.ambiguous for v in found], dtype=pl.Boolean),
             "reason": text("reason"),
+            **_bounds(found),
         }
     )
+
+
+def _bounds(found: Sequence[Verdict]) -> dict[str, pl.Series]:
+    """Return the protection levels of each verdict, how many modes they cover, and since when."""
+    bounds = [v.bound for v in found]
+
+    def value(name: str, dtype: type[pl.DataType]) -> pl.Series:
+        return pl.Series([None if b is None else getattr(b, name) for b in bounds], dtype=dtype)
+
+    return {
+        **level_columns([() if b is None else (b,) for b in bounds]),
+        "pl_modes": value("modes", pl.Int32),
+        "pl_unmonitored": value("unmonitored", pl.Float64),
+        "pl_since_ns": value("since_ns", pl.Int64),
+    }
 
 
 def exclusions(outcomes: Sequence[Outcome]) -> pl.DataFrame:
     """Return one row an exclusion: when, who, by which test, how large, since when, and when it came back.
 
     `estimated_bias` is the size at the time of exclusion and `estimated_rate` its growth per second (ramps),
-    both in units of the row that carries the fault (m for ranges). `readmitted_gps` is null where the group
-    did not come back.
+    both in units of the row that carries the fault (m for ranges); null where solutions were compared, which
+    gives no size of the fault itself. `readmitted_gps` is null where the group did not come back.
     """
     made = [(e, _back_ns(outcomes, i, e.group)) for i, o in enumerate(outcomes) for e in o.exclusions]
     ramps: npt.NDArray[np.bool_] = np.array([e.kind == "ramp" for e, _ in made], dtype=bool)
-    size = np.array([e.size for e, _ in made], dtype=np.float64)
+    of_rows = [e.kind != SEPARATION or e.monitor == "subset" for e, _ in made]
+    size = np.array([e.size if row else np.nan for (e, _), row in zip(made, of_rows, strict=True)])
     age = np.array([(e.t_ns - e.onset_ns) * 1e-9 for e, _ in made], dtype=np.float64)
     return pl.DataFrame(
         {

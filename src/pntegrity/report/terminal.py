@@ -9,7 +9,7 @@ from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.story import story
 from pntegrity.report.summary import headline, summary
-from pntegrity.report.units import length, together
+from pntegrity.report.units import length, level_text, together
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -90,4 +90,19 @@ def _figures(numbers: Mapping[str, Any]) -> list[str]:
         horizontal, up = p["h"], p["u"]
         rms = f"RMS {length(horizontal['rms_m'])} horizontal, {length(up['rms_m'])} up"
         lines.append(f"position    {rms} (95 %: {together(horizontal['p95_m'], up['p95_m'])})")
-    return lines
+    return lines + ([_protection(numbers["protection"])] if numbers["protection"] else [])
+
+
+def _protection(p: Mapping[str, Any]) -> str:
+    """Return the line of the protection levels."""
+    said = [
+        f"{name} median {level_text(p[key]['median'])} (95 % {level_text(p[key]['p95'])})"
+        for name, key in (("HPL", "hpl_m"), ("VPL", "vpl_m"))
+    ]
+    if p["available"]:
+        said.append(f"within alert limits {100 * p['available']['share']:.1f} %")
+    if p["unbounded"]["epochs"]:
+        said.append(f"unbounded {p['unbounded']['epochs']}")
+    if p["misleading"]:
+        said.append(f"misleading {p['misleading']['epochs']} of {p['misleading']['compared']}")
+    return f"protection  {', '.join(said)}"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-__all__ = ["duration", "length", "rounded", "together", "unit"]
+import math
+
+__all__ = ["duration", "length", "level_text", "rounded", "together", "unit"]
 
 
 def unit(largest_m: float) -> tuple[float, str]:
@@ -15,6 +17,11 @@ def length(value_m: float, per: str = "") -> str:
     """Return ``39.9 m``, ``1.2 cm`` or ``0.67 mm``; `per` follows the unit (``"/s"``)."""
     factor, name = unit(value_m)
     return f"{rounded(value_m * factor, name)} {name}{per}"
+
+
+def level_text(value_m: float | None) -> str:
+    """Return a protection level in words; one that is not finite, or null, is ``unbounded``."""
+    return length(value_m) if value_m is not None and math.isfinite(value_m) else "unbounded"
 
 
 def together(*values_m: float) -> str:

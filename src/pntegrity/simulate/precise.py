@@ -89,6 +89,19 @@ def simulate_precise(
     tuple of Epoch
         Observations ``"code"`` and ``"carrier"``, as `physics.precise_epochs` gives them.
     """
+    names, found, el = placed(states, sats, t_ns, track_m)
+    errors = _errors(receiver, tuple(sats), t_ns, el, rng)
+    return tuple(
+        _epoch(k, int(t), track_m[k], names, found, errors, receiver) for k, t in enumerate(t_ns.tolist())
+    )
+
+
+def placed(
+    states: States, sats: Sequence[str], t_ns: npt.NDArray[np.int64], track_m: FloatArray
+) -> tuple[npt.NDArray[np.str_], SatelliteStates, FloatArray]:
+    """Return names of satellites (m,), where they were at emission (n * m, epoch by epoch), and elevations
+    (n, m).
+    """
     names = np.array(sats, dtype="<U3")
     travel = np.full((len(t_ns), len(sats)), 0.075 * C_MPS)
     for _ in range(3):  # a pass shrinks the error by the speed of satellites over that of light
@@ -96,11 +109,7 @@ def simulate_precise(
         position = found.position_m.reshape(len(t_ns), len(sats), 3)
         travel = np.stack([geometry(x, sv).range_m for x, sv in zip(track_m, position, strict=True)])
         travel = np.where(np.isfinite(travel), travel, 0.075 * C_MPS)
-    el = _elevations(track_m, position)
-    errors = _errors(receiver, tuple(sats), t_ns, el, rng)
-    return tuple(
-        _epoch(k, int(t), track_m[k], names, found, errors, receiver) for k, t in enumerate(t_ns.tolist())
-    )
+    return names, found, _elevations(track_m, position)
 
 
 def _elevations(track_m: FloatArray, position_m: FloatArray) -> FloatArray:
@@ -134,11 +143,11 @@ def _errors(
     clock, wet = np.cumsum(common, axis=0).T
     return _Errors(
         code, carrier + 20.0 * rng.standard_normal(m), 500.0 + clock, receiver.wet_m + wet,
-        *_bridges(receiver, sats, t_ns, rng),
+        *bridges(receiver, sats, t_ns, rng),
     )  # fmt: skip
 
 
-def _bridges(
+def bridges(
     receiver: PreciseReceiver, sats: tuple[str, ...], t_ns: npt.NDArray[np.int64], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Return what linear interpolation leaves of the satellites' clocks (n, m), and the times from and to

@@ -60,6 +60,7 @@
     if (!figure.timed) {
       layout.polar = { bgcolor: "rgba(0,0,0,0)", angularaxis: { gridcolor: colour("--grid"), linecolor: colour("--rule") },
         radialaxis: { gridcolor: colour("--grid"), linecolor: "rgba(0,0,0,0)", tickfont: { size: 10, color: colour("--muted") } } };
+      for (const key of Object.keys(figure.layout)) if (/^[xy]axis/.test(key)) layout[key] = { ...axis };
       return layout;
     }
     const ms = axisRange();

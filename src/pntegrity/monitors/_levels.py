@@ -1,0 +1,151 @@
+"""What a bank of subfilters says of the position: separations, their thresholds, protection levels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+import numpy.typing as npt
+
+from pntegrity.bounds.ism import Ism
+from pntegrity.kernels.companions import Companions
+from pntegrity.kernels.protection import (
+    dominant_mode,
+    false_alert_factor,
+    least_level,
+    protection_level,
+)
+from pntegrity.monitors._members import Cast
+from pntegrity.records import Bound, FloatArray
+
+__all__ = ["Spread", "bound_of", "factors", "shares"]
+
+#: Share of a variance below which a difference of two is rounding.
+ROUNDING = 1e-9
+#: A position whose variance is still this share of what it was born with is not determined.
+UNDETERMINED = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """The positions of all members, in some directions; shapes (members, directions).
+
+    Parameters
+    ----------
+    apart : ndarray
+        Separation from the filter, m.
+    variance : ndarray
+        Of the member's error, m^2; inf where it does not determine that direction.
+    separation : ndarray
+        Variance of the separation, m^2.
+    bias : ndarray
+        Largest nominal bias of the member, m.
+    """
+
+    apart: FloatArray
+    variance: FloatArray
+    separation: FloatArray
+    bias: FloatArray
+
+    @staticmethod
+    def of(axes: FloatArray, apart: FloatArray, P: FloatArray, born: float) -> Spread:
+        """Return the spread of members in the directions of `axes`.
+
+        Parameters
+        ----------
+        axes : ndarray, shape (d, k)
+        apart : ndarray, shape (members, k)
+            Positions less that of the filter.
+        P : ndarray, shape (members, k, k)
+        born : float
+            Variance with which the position was born at this epoch; inf where it was not.
+        """
+        variance = np.einsum("da,iab,db->id", axes, P, axes)
+        variance = np.where(_undetermined(axes, P, born), inf, variance)
+        separation = np.maximum(variance - variance[:1], 0.0) if np.isfinite(variance[0]).all() else variance
+        return Spread(apart @ axes.T, variance, separation, np.zeros_like(variance))
+
+    def refined(self, axes: FloatArray, beside: Companions, position: npt.NDArray[np.intp]) -> Spread:
+        """Return the spread with exact separations, and nominal biases, of the members that these are
+        beside.
+        """
+        few = len(beside.own)
+        apart = beside.separation()[:, position[:, None], position]
+        separation, bias = self.separation.copy(), self.bias.copy()
+        separation[:few] = np.maximum(np.einsum("da,iab,db->id", axes, apart, axes), 0.0)
+        bias[:few] = np.abs(axes @ beside.bias[:, position]).sum(axis=2)
+        return replace(self, separation=np.where(np.isfinite(self.variance), separation, inf), bias=bias)
+
+    def testable(self, rows: slice) -> npt.NDArray[np.bool_]:
+        """Return where a separation can be told from rounding."""
+        s = self.separation[rows]
+        return np.isfinite(s) & (s > ROUNDING * self.variance[0])
+
+
+def _undetermined(axes: FloatArray, P: FloatArray, born: float) -> npt.NDArray[np.bool_]:
+    """Return where a direction has a part that rows do not determine, shape (members, d)."""
+    if not np.isfinite(born):
+        return np.zeros((len(P), len(axes)), dtype=bool)
+    values, vectors = np.linalg.eigh(P)
+    seen = np.abs(np.einsum("dk,ikv->idv", axes, vectors)) > 1e-3
+    return np.asarray((seen & (values > UNDETERMINED * born)[:, None, :]).any(axis=2))
+
+
+def shares(split: tuple[float, float, float], directions: int) -> FloatArray:
+    """Return the share of each direction; along and across the track those of east and north."""
+    return np.array([*split, *split[:2]])[:directions]
+
+
+def factors(ism: Ism, p_fa: float, modes: int, directions: int) -> FloatArray:
+    """Return the factor of the standard deviation for the test in each direction, shape (directions,).
+
+    Where a course is known, tests east and along share one probability, tests north and across another.
+    """
+    share = shares(ism.fa_split, directions)
+    halved = np.where(np.arange(directions) == 2, share, 0.5 * share) if directions > 3 else share
+    return np.array([false_alert_factor(p_fa * s, modes) if s > 0.0 else inf for s in halved.tolist()])
+
+
+def bound_of(spread: Spread, cast: Cast, ism: Ism, threshold: FloatArray, since_ns: int) -> Bound:
+    """Return the protection levels.
+
+    Parameters
+    ----------
+    spread : Spread
+    cast : Cast
+    ism : Ism
+    threshold : ndarray, shape (modes, directions)
+        Of the separations, m.
+    since_ns : int
+        Faults that began before are not covered.
+    """
+    faults, p = cast.faults, cast.probability
+    modes = slice(1, 1 + len(p))
+    sigma, bias = np.sqrt(spread.variance), spread.bias
+    risk = max(ism.p_hmi - faults.unmonitored, 0.0) / ism.independent_epochs
+    levels, least, names = [], [], []
+    for q, share in enumerate(shares(ism.split, sigma.shape[1]).tolist()):
+        facts = (p, sigma[modes, q], bias[modes, q], threshold[:, q])
+        level = protection_level(share * risk, sigma[0, q], bias[0, q], *facts)
+        levels.append(level)
+        if q < 3:
+            ss = np.sqrt(spread.separation[modes, q])
+            ss = np.where(np.isfinite(sigma[modes, q]), ss, inf)
+            least.append(least_level(share * risk, sigma[0, q], p, ss, threshold[:, q]))
+            worst = dominant_mode(level, sigma[0, q], bias[0, q], *facts)
+            names.append(faults.monitored[worst].name if worst >= 0 else "")
+    track = levels[3:] if len(levels) > 3 else [None, None]
+    return Bound(
+        *levels[:3], tuple(sigma[0, :3].tolist()), track[0], track[1], tuple(names), tuple(least),
+        len(p), faults.unmonitored, since_ns, _reason(levels[:3], names, sigma, faults.reason),
+    )  # fmt: skip
+
+
+def _reason(levels: list[float], names: list[str], sigma: FloatArray, reason: str) -> str:
+    if reason or np.isfinite(levels).all():
+        return reason
+    if not np.isfinite(sigma[0]).all():
+        return "the measurements do not determine the position"
+    lost = dict.fromkeys(n for n, level in zip(names, levels, strict=True) if n and not np.isfinite(level))
+    return "nothing is left to check against without " + ", ".join(lost) if lost else "the risk is used up"

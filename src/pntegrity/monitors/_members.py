@@ -1,0 +1,114 @@
+"""Which subfilters a separation monitor carries, and where each comes from when groups come, go or fail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from pntegrity.bounds.ism import Ism
+from pntegrity.bounds.modes import Event, FaultModes, events_of, fault_modes
+from pntegrity.records import FloatArray
+from pntegrity.states import rows_touched_by
+
+Member = tuple[str, ...]
+IntArray = npt.NDArray[np.intp]
+
+__all__ = ["Cast", "Member", "cast_of", "in_order", "sources", "used_rows"]
+
+
+@dataclass(frozen=True)
+class Cast:
+    """The subfilters for the groups that are there.
+
+    Parameters
+    ----------
+    events : tuple of Event
+    faults : FaultModes
+    members : tuple of tuple of str
+        Names of the events that each member does without; the first is the whole filter, then come the modes
+        in the order of `faults.monitored`, then whatever else identifies a fault.
+    single : tuple of int
+        The member of each event.
+    pairs : tuple of (int, int, int)
+        Two events and the member without both, for both orders.
+    """
+
+    events: tuple[Event, ...]
+    faults: FaultModes
+    members: tuple[Member, ...]
+    single: tuple[int, ...]
+    pairs: tuple[tuple[int, int, int], ...]
+
+    @property
+    def probability(self) -> FloatArray:
+        """Probabilities of the monitored modes."""
+        return np.array([m.probability for m in self.faults.monitored])
+
+
+@lru_cache(maxsize=256)
+def cast_of(ism: Ism, groups: tuple[str, ...], pairs: bool) -> Cast:
+    """Return the subfilters for some groups; with `pairs` also those without any two events."""
+    events = events_of(ism, groups)
+    faults = fault_modes(events, ism.p_hmi, ism.p_unmonitored, ism.max_modes)
+    members = dict.fromkeys([(), *(tuple(sorted(m.events)) for m in faults.monitored)])
+    members |= dict.fromkeys((e.name,) for e in events)
+    both = _pairs(events) if pairs else {}
+    members |= dict.fromkeys(both.values())
+    at = {m: i for i, m in enumerate(members)}
+    return Cast(
+        events, faults, tuple(members), tuple(at[e.name,] for e in events),
+        tuple((a, b, at[m]) for (a, b), m in both.items()),
+    )  # fmt: skip
+
+
+def _pairs(events: tuple[Event, ...]) -> dict[tuple[int, int], Member]:
+    """Return the member without each two events, of which neither contains the other."""
+    sets = [frozenset(e.groups) for e in events]
+    return {
+        (a, b): tuple(sorted((events[a].name, events[b].name)))
+        for a in range(len(events))
+        for b in range(len(events))
+        if a != b and not sets[a] <= sets[b] and not sets[b] <= sets[a]
+    }
+
+
+@lru_cache(maxsize=256)
+def used_rows(cast: Cast, keys: tuple[str, ...]) -> npt.NDArray[np.bool_]:
+    """Return which rows each member uses, shape (members, rows), read-only."""
+    patterns = {e.name: e.patterns for e in cast.events}
+    touched = {name: rows_touched_by(p, keys) for name, p in patterns.items()}
+    none = np.zeros(len(keys), dtype=bool)
+    out = np.array([~np.logical_or.reduce([none, *(touched[n] for n in m)]) for m in cast.members])
+    out.flags.writeable = False
+    return out
+
+
+@lru_cache(maxsize=256)
+def in_order(keys: tuple[str, ...]) -> IntArray:
+    """Return the rows in the order of their names, shape (len(keys),), read-only."""
+    out = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.intp)
+    out.flags.writeable = False
+    return out
+
+
+@lru_cache(maxsize=256)
+def sources(old: tuple[Member, ...], new: tuple[Member, ...], without: Member) -> IntArray:
+    """Return for each of `new` the member of `old` it goes on from, shape (len(new),).
+
+    The one that does without the same events, and without those in `without`, as the filter itself does now;
+    where there is none, the one that lacks fewest of them, the latter first: it does without the rest from
+    now on.
+    """
+    known = [frozenset(m) for m in old]
+    base = frozenset(without)
+    out = []
+    for member in new:
+        wanted = base.union(member)
+        fitting = [i for i, m in enumerate(known) if m <= wanted]
+        out.append(max(fitting, key=lambda i: (len(known[i] & base), len(known[i]), -i)))
+    found = np.array(out, dtype=np.intp)
+    found.flags.writeable = False
+    return found

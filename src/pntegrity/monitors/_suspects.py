@@ -1,0 +1,66 @@
+"""Who is at fault: the event without which the subfilters agree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pntegrity.monitors._levels import ROUNDING, Spread
+from pntegrity.monitors._members import Cast
+from pntegrity.records import FloatArray, Suspect, Update
+
+__all__ = ["suspects_of"]
+
+MOST = 4
+
+
+def suspects_of(
+    spread: Spread, cast: Cast, update: Update, K: FloatArray, pairs: bool
+) -> tuple[Suspect, ...]:
+    """Return who may be at fault, the most likely first; `statistic` is small where an event explains much.
+
+    With `pairs` it is the worst re-test: the largest separation of a solution without yet another event from
+    that without this one, over what is allowed; at most 1 where the rest agrees. Without, it is what is
+    allowed over the solution's own separation, the rule of the paper.
+    """
+    own = _own(spread, cast, K)
+    statistic = _retests(spread, cast, K) if pairs else 1.0 / np.maximum(own, 1e-9)
+    found = []
+    for i in np.lexsort((-own, statistic)).tolist():
+        event = cast.events[i]
+        groups = tuple(g for g in event.groups if g in update.groups())
+        if groups and np.isfinite(statistic[i]):
+            size = float(np.abs(spread.apart[cast.single[i], :3]).max())
+            found.append(Suspect(groups, "separation", size, update.t_ns, float(statistic[i])))
+    return tuple(s for s in found if not _holds_another(s, found))[:MOST]
+
+
+def _holds_another(suspect: Suspect, found: list[Suspect]) -> bool:
+    """Tell whether a part of a suspect explains the data as well."""
+    return any(set(s.groups) < set(suspect.groups) and s.statistic <= 1.0 for s in found)
+
+
+def _own(spread: Spread, cast: Cast, K: FloatArray) -> FloatArray:
+    """Return each event's largest separation over what is allowed, shape (events,)."""
+    at = np.array(cast.single, dtype=np.intp)
+    return _ratios(spread.apart[at], spread.separation[at], spread, K)
+
+
+def _retests(spread: Spread, cast: Cast, K: FloatArray) -> FloatArray:
+    """Return the worst re-test of each event, inf where nothing can be tested without it, shape (events,)."""
+    worst = np.zeros(len(cast.events))
+    single = np.array(cast.single, dtype=np.intp)
+    event, _, both = np.array(cast.pairs, dtype=np.intp).T
+    base = single[event]
+    undetermined = ~np.isfinite(spread.variance[base]) | ~np.isfinite(spread.variance[both])
+    gap = np.where(undetermined, 0.0, spread.variance[both]) - np.where(
+        undetermined, 0.0, spread.variance[base]
+    )
+    ratios = _ratios(spread.apart[both] - spread.apart[base], gap, spread, K)
+    np.maximum.at(worst, event, ratios)
+    return np.where(np.isfinite(spread.variance[single]).all(axis=1), worst, np.inf)
+
+
+def _ratios(apart: FloatArray, variance: FloatArray, spread: Spread, K: FloatArray) -> FloatArray:
+    testable = np.isfinite(variance) & (variance > ROUNDING * spread.variance[0])
+    allowed = K * np.sqrt(np.where(testable, variance, 1.0))
+    return np.asarray(np.where(testable, np.abs(apart) / allowed, 0.0).max(axis=1))
