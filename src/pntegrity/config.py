@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from pntegrity.bounds.ism import Ism
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover as discover_estimators
 from pntegrity.monitors import discover
@@ -24,6 +25,7 @@ __all__ = [
     "make_config",
     "make_monitor",
     "noise_of",
+    "read_ism",
     "read_noise",
     "to_toml",
     "write_noise",
@@ -37,7 +39,9 @@ class RunConfig(BaseModel):
     """Everything that decides what a run computes.
 
     Files are as given on the command line; `faults` are in the grammar of ``simulate.faults``; `noise` is a
-    table of fields of `NoiseModel`, or a file that ``calibrate`` wrote. `monitor` holds options of single
+    table of fields of `NoiseModel`, or a file that ``calibrate`` wrote; `ism` is the integrity support
+    message, a table of fields of `Ism`, whose own ``noise`` table wins. `monitors` are those that suit the
+    estimator where none is named. `monitor` holds options of single
     monitors, for instance ``[monitor.aime] window = 10``.
     """
 
@@ -52,8 +56,11 @@ class RunConfig(BaseModel):
     blq: Path | None = None
     erp: Path | None = None
     station: str = ""
+    atmosphere: Path | None = None
+    clas: tuple[Path, ...] = ()
+    clas_grid: Path | None = None
     estimator: str = "spp_kf"
-    monitors: tuple[str, ...] = DEFAULT_MONITORS
+    monitors: tuple[str, ...] = ()
     variant: Literal["exact", "published"] = "exact"
     p_fa: float = Field(1e-6, gt=0.0, lt=0.5)
     exclude: bool = True
@@ -68,6 +75,7 @@ class RunConfig(BaseModel):
     start: str | None = None
     end: str | None = None
     noise: dict[str, Any] = Field(default_factory=dict)
+    ism: dict[str, Any] = Field(default_factory=dict)
     monitor: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
     @field_validator("estimator")
@@ -90,6 +98,14 @@ class RunConfig(BaseModel):
                 raise ValueError(f"{why}; write it like 'G05 ramp 0.1 m/s 200:300'") from None
         return texts
 
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_monitors(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or "monitors" in values:
+            return values
+        known = discover_estimators().get(str(values.get("estimator", "spp_kf")))
+        return {**values, "monitors": getattr(known, "monitors", DEFAULT_MONITORS)}
+
     @field_validator("monitors")
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -110,26 +126,54 @@ class RunConfig(BaseModel):
         given = [name for name in ("clk", "bias", "antex", "blq", "erp") if getattr(self, name)]
         if given and not self.sp3:
             raise ValueError(f"`{given[0]}` goes with precise orbits: give them with --sp3")
+        self._check_corrections()
         if not self.nav and not self.sp3:
             raise ValueError("give navigation files (--nav), or precise orbits (--sp3)")
         self.noise_model()
         self.build_monitors()
         return self
 
+    def _check_corrections(self) -> None:
+        """Refuse corrections that nothing would use."""
+        given = [name for name in ("atmosphere", "clas") if getattr(self, name)]
+        if given and self.estimator != "ppp_rtk":
+            raise ValueError(f"`{given[0]}` goes with --estimator ppp_rtk, not {self.estimator}")
+        if self.clas and self.sp3:
+            raise ValueError("`clas` corrects broadcast ephemerides: give it without --sp3")
+        if self.clas and not self.nav:
+            raise ValueError("`clas` corrects broadcast ephemerides: give them with --nav")
+        if len(given) > 1:
+            raise ValueError("`clas` has delays of the atmosphere already: give it without --atmosphere")
+
     def noise_model(self) -> NoiseModel:
         """Return the noise model: that of the estimator, where nothing else is given."""
-        return noise_of(self.noise, discover_estimators()[self.estimator].default_noise)
+        model = noise_of(self.noise, discover_estimators()[self.estimator].default_noise)
+        stated = dict(self.ism_model().noise)
+        return noise_of(stated, model) if stated else model
+
+    def ism_model(self) -> Ism:
+        """Return the integrity support message; its false-alert probability is `p_fa`, where it has none."""
+        return Ism.from_table({"p_fa": self.p_fa} | self.ism)
 
     def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
         """Return the monitors, each with its calibrated threshold factor and its own options."""
-        model = noise or self.noise_model()
+        model, ism = noise or self.noise_model(), self.ism_model()
         usual = discover_estimators()[self.estimator].monitoring
         return tuple(
             make_monitor(
-                n, p_fa or self.p_fa, self.variant, model, usual.get(n, {}) | self.monitor.get(n, {})
+                n,
+                p_fa or (ism.p_fa if _has(n, "ism") else self.p_fa),
+                self.variant,
+                model,
+                ({"ism": ism} if _has(n, "ism") else {}) | usual.get(n, {}) | self.monitor.get(n, {}),
             )
             for n in self.monitors
         )
+
+
+def _has(monitor: str, option: str) -> bool:
+    """Tell whether a monitor has an option."""
+    return option in (f.name for f in fields(discover()[monitor]))
 
 
 def noise_of(table: dict[str, Any], default: NoiseModel | None = None) -> NoiseModel:
@@ -227,6 +271,22 @@ def read_noise(path: Path) -> dict[str, Any]:
     if "noise" not in tables:
         raise InputError("has no [noise] table", path=path, hint="Write one with `pntegrity calibrate`")
     return dict(tables["noise"])
+
+
+def read_ism(path: Path) -> dict[str, Any]:
+    """Return the table of a file with an integrity support message.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read, or something in it cannot be.
+    """
+    table = load_toml(path)
+    try:
+        Ism.from_table(table)
+    except ValueError as error:
+        raise InputError(str(error), path=path, hint="docs/formats/ism.md has an example") from None
+    return table
 
 
 def write_noise(noise: NoiseModel, facts: dict[str, Any]) -> str:

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pntegrity.errors import InputError
 from pntegrity.estimators._gnss import GnssOptions, track
+from pntegrity.formats.clas import read_clas
 from pntegrity.formats.products import ProductFiles, read_products
 from pntegrity.formats.rinex_nav import read_navigation
-from pntegrity.physics.gnss_epochs import GnssEpochs
+from pntegrity.physics.atmosphere_products import AtmosphereProducts, with_products
+from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
 from pntegrity.physics.precise_epochs import precise_epochs
-from pntegrity.physics.tables import SignalTable
+from pntegrity.physics.ssr_corrections import ClasCorrections
+from pntegrity.physics.ssr_log import CLAS_SIGNALS, clas_inputs
+from pntegrity.physics.tables import Navigation, SignalTable
+from pntegrity.physics.time import SECOND_NS, WEEK_NS
+from pntegrity.records import FloatArray
 from pntegrity.sensors.noise import PPP, NoiseModel
 
-__all__ = ["Span", "precise_log"]
+__all__ = ["Span", "clas_log", "precise_log", "with_atmosphere"]
+
+#: The first fix within this time tells where the receiver is, to 100 m.
+FIRST_S = 300
 
 Span = tuple[int | None, int | None]
 
@@ -47,3 +63,74 @@ def precise_log(
         table, products, lambda epochs: track(epochs, options), systems=systems, site=site, channels=channels,
         start_ns=span[0], end_ns=span[1], combined=combined,
     )  # fmt: skip
+
+
+def with_atmosphere(loaded: GnssEpochs, products: AtmosphereProducts) -> GnssEpochs:
+    """Return epochs with what is known of the atmosphere at their times."""
+    epochs, notes = with_products(loaded.epochs, products)
+    return replace(loaded, epochs=tuple(epochs), notes=(*loaded.notes, *notes))
+
+
+def clas_log(
+    table: SignalTable, nav: Sequence[Path], clas: Sequence[Path], grid: Path | None, systems: str,
+    span: Span = (None, None), noise: NoiseModel = PPP,
+) -> GnssEpochs:  # fmt: skip
+    """Return the epochs of a log with the corrections of CLAS, bands apart, with its delays of the
+    atmosphere.
+
+    Parameters
+    ----------
+    table : SignalTable
+    nav, clas : sequence of Path
+        Broadcast ephemerides; corrections as decoded files, or one raw file of L6 messages.
+    grid : Path or None
+        Definition of the grid points, for raw messages.
+    systems, span, noise
+        As for `precise_log`.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what to do.
+    """
+    navigation = read_navigation(nav)
+    options = GnssOptions(noise=noise)
+    place = _place(table, navigation, systems, options)
+    inputs = clas_inputs(table, _corrections(table, clas, grid, place), navigation, place)
+    found = precise_epochs(
+        inputs.table, inputs.products, lambda epochs: track(epochs, options), systems=systems,
+        signals=CLAS_SIGNALS, start_ns=span[0], end_ns=span[1], combined=False,
+    )  # fmt: skip
+    return with_atmosphere(found, inputs.atmosphere)
+
+
+def _place(
+    table: SignalTable, navigation: Navigation, systems: str, options: GnssOptions
+) -> FloatArray:
+    """Return about where the receiver is, from code and broadcast ephemerides."""
+    end_ns = int(table.t_ns[0]) + FIRST_S * SECOND_NS
+    rough = gnss_epochs(table, navigation, systems=systems, end_ns=end_ns).epochs
+    fixes = track(rough, options)
+    known = fixes[np.isfinite(fixes).all(axis=1)]
+    if not len(known):
+        raise InputError(
+            f"no position could be made from code in the first {FIRST_S} s", path=table.source,
+            hint="Corrections hold for a place: give navigation files that cover the log's beginning",
+        )  # fmt: skip
+    return np.asarray(np.median(known, axis=0))
+
+
+def _corrections(
+    table: SignalTable, clas: Sequence[Path], grid: Path | None, place_m: FloatArray
+) -> ClasCorrections:
+    raw = [p for p in clas if p.name.lower().removesuffix(".gz").endswith(".l6")]
+    if not raw:
+        return read_clas(clas)
+    if len(clas) > 1 or grid is None:
+        raise InputError(
+            "raw L6 messages go alone, with the definition of their grid points", path=raw[0],
+            hint="Give one --clas file.l6 and --clas-grid clas_grid.def",
+        )  # fmt: skip
+    from pntegrity.formats.clas_l6 import read_l6
+
+    return read_l6(raw[0], grid, int(table.t_ns[0] // WEEK_NS), place_m, int(table.t_ns[-1]))

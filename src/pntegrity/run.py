@@ -13,11 +13,12 @@ from pntegrity.errors import InputError
 from pntegrity.estimators import discover
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.exclusion import Policy
+from pntegrity.formats.atmosphere import read_atmosphere
 from pntegrity.formats.products import ProductFiles
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import SignalTable, read_observations
 from pntegrity.formats.truth import read_truth
-from pntegrity.logs import precise_log
+from pntegrity.logs import clas_log, precise_log, with_atmosphere
 from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
 from pntegrity.physics.time import from_iso, to_iso
 from pntegrity.pipeline import Outcome, Pipeline, uncollected
@@ -61,7 +62,9 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
     """
     table = read_observations(config.obs)
     span = _time(config.start, table), _time(config.end, table)
-    loaded = (_precise if config.sp3 else _broadcast)(config, table, span)
+    loaded = (_precise if config.sp3 else _clas if config.clas else _broadcast)(config, table, span)
+    if config.atmosphere is not None:
+        loaded = with_atmosphere(loaded, read_atmosphere(config.atmosphere))
     faults = [parse_fault(text) for text in config.faults]
     epochs = _with_faults(loaded.epochs, faults)
     return GnssEpochs(tuple(epochs), table.notes + loaded.notes, loaded.klobuchar)
@@ -86,6 +89,12 @@ def _precise(config: RunConfig, table: SignalTable, span: tuple[int | None, int 
     )
     combined = config.estimator != "ppp_rtk"  # it estimates slant delays
     return precise_log(table, files, config.systems, span, config.noise_model(), combined=combined)
+
+
+def _clas(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
+    return clas_log(
+        table, config.nav, config.clas, config.clas_grid, config.systems, span, config.noise_model()
+    )
 
 
 def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[Epoch]:
@@ -183,6 +192,7 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
         config=config.model_dump(mode="json"),
         noise_name=noise.name,
         blind_spots=blind_spots(config.estimator, noise, config.motion, config.build_monitors()),
+        protection=config.ism_model().to_table() if "separation" in config.monitors else {},
         truth_m=_truth(config, [o.t_ns for o in outcomes]),
         notes=loaded.notes,
         faults=tuple(describe(parse_fault(f)) for f in config.faults),

@@ -11,7 +11,7 @@ import pytest
 from pntegrity.errors import InputError
 from pntegrity.formats import clas_l6
 from pntegrity.formats.clas import read_clas
-from pntegrity.formats.clas_l6 import read_l6
+from pntegrity.formats.clas_l6 import corrections_for, read_l6
 from pntegrity.physics.time import from_week_tow
 
 SATELLITES = (
@@ -165,3 +165,36 @@ def test_messages_are_found_between_other_bytes_and_alerts_left_out(save):
     assert dropped == {"message with the alert flag": 1, "bytes between messages": 3}
     with pytest.raises(InputError, match="no L6 message"):
         list(clas_l6._frames(b"junk" * 100, save(b"junk"), dropped))
+
+
+class Log:
+    """What is asked of a log."""
+
+    def __init__(self, place=PLACE) -> None:
+        self.t_ns = np.array([from_week_tow(2149, 100.0), from_week_tow(2149, 105.0)])
+        self.approx_position_m, self.source = place, "log.21o"
+
+
+def test_decoded_and_raw_files_are_told_apart_by_content(save, monkeypatch):
+    csv = save(SATELLITES + line(), "named.l6")
+    assert list(corrections_for(Log(), [csv]).satellites) == ["G03"]
+    raw, grid = save(message(1) * 3, "named.csv"), save(GRID, "grid.def")
+    asked = []
+    monkeypatch.setattr(clas_l6, "read_l6", lambda *a, **k: asked.append((a, k)))
+    log = Log()
+    corrections_for(log, [raw], grid)
+    assert asked == [((raw, grid, 2149, PLACE), {"end_ns": int(log.t_ns[-1])})]
+
+
+@pytest.mark.parametrize(
+    ("many", "grid", "place", "words"),
+    [
+        (True, "g", PLACE, "goes alone"),
+        (False, None, PLACE, "need the grid's definition"),
+        (False, "g", None, "does not tell where the receiver is"),
+    ],
+)
+def test_what_a_raw_file_needs(save, many, grid, place, words):
+    raw = save(message(1), "a.l6")
+    with pytest.raises(InputError, match=words):
+        corrections_for(Log(place), [raw, save(SATELLITES, "b.csv")] if many else [raw], grid)

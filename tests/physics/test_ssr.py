@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from gnss_logs import SECOND, START, navigation
+from pntegrity.physics.atmosphere_products import metres_per_tecu
 from pntegrity.physics.ephemeris import toe_ns
 from pntegrity.physics.orbits import satellite_states
 from pntegrity.physics.precise import precise_states
-from pntegrity.physics.signals import SPEED_OF_LIGHT_MPS
+from pntegrity.physics.signals import SPEED_OF_LIGHT_MPS, frequency_hz
 from pntegrity.physics.ssr import SsrBiases, SsrClocks, SsrOrbits
 from pntegrity.physics.ssr_corrections import ClasCorrections, SatelliteCorrections, in_force, quality_tecu
 from pntegrity.physics.tables import Navigation
@@ -193,8 +194,9 @@ def test_biases_follow_time_and_one_channel_stands_for_both():
 
 
 def test_quality_is_coded_as_metres_on_l1():
-    # IS-QZSS-L6: the last step of the indicator, class 7 and value 7, is 33.6664 TECU
-    assert quality_tecu(1e-3 * (3**7 * (1 + 6 / 4) - 1)) == pytest.approx(33.6664, abs=1e-3)
+    one_tecu = metres_per_tecu(frequency_hz("G", "1C"))
+    assert quality_tecu(one_tecu) == pytest.approx(1.0, rel=1e-4)
+    assert np.isnan(quality_tecu(np.nan))
 
 
 def test_an_unhealthy_satellite_is_not_used(monkeypatch):

@@ -36,15 +36,31 @@ INPUT = [
     click.option("--erp", type=click.Path(path_type=Path), help="Polar motion, for the pole tide."),
     click.option("--station", help="Station in the BLQ file.  [the marker]"),
     click.option(
+        "--atmosphere",
+        type=click.Path(path_type=Path),
+        help="Atmosphere products for ppp_rtk: CSV or Parquet (`pntegrity products` makes some).",
+    ),
+    click.option(
+        "--clas",
+        type=click.Path(path_type=Path),
+        multiple=True,
+        help="CLAS corrections for ppp_rtk: decoded CSV files, or one raw file.l6.",
+    ),
+    click.option(
+        "--clas-grid", type=click.Path(path_type=Path), help="Definition of the grid points, for file.l6."
+    ),
+    click.option(
         "--config", type=click.Path(path_type=Path), help="TOML file with any of these options; options win."
     ),
     click.option(
-        "--estimator", help="spp (snapshot), spp_kf (Kalman filter) or ppp (precise, with --sp3).  [spp_kf]"
+        "--estimator",
+        help="spp (snapshot), spp_kf (Kalman filter), ppp (precise, with --sp3) or ppp_rtk (with --sp3 and "
+        "--atmosphere, or --clas).  [spp_kf]",
     ),
     click.option(
         "--motion",
         type=click.Choice(["white", "walk", "velocity", "static"]),
-        help="What ppp knows of the motion: nothing, a random walk, constant velocity, none.  [white]",
+        help="What ppp and ppp_rtk know of the motion: nothing, a random walk, constant velocity, none.  [white]",
     ),
     click.option("--mask-deg", type=float, help="Elevation mask, degrees.  [10]"),
     click.option("--systems", help="Constellations: G GPS, R GLONASS, E Galileo, C BDS, J QZSS.  [GREC]"),
@@ -61,7 +77,16 @@ INPUT = [
     click.option("--end", help="Last epoch."),
 ]
 MONITORING = [
-    click.option("--monitors", help="Comma-separated: rctm,srctm,aime,sraime,glr.  [all]"),
+    click.option(
+        "--monitors",
+        help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels).  [the first "
+        "five; ppp_rtk: separation]",
+    ),
+    click.option(
+        "--ism",
+        type=click.Path(path_type=Path),
+        help="Integrity support message (TOML): fault probabilities, risk, alert limits.",
+    ),
     click.option(
         "--variant",
         type=click.Choice(["exact", "published"]),
@@ -92,7 +117,7 @@ def options(*groups: list[Command]) -> Command:
 
 def build_config(values: dict[str, Any]) -> RunConfig:
     """Return the checked configuration of options and of the file that they name; options win."""
-    from pntegrity.config import load_toml, make_config, read_noise
+    from pntegrity.config import load_toml, make_config, read_ism, read_noise
     from pntegrity.errors import InputError
 
     given = {k: v for k, v in values.items() if v is not None and v != ()}
@@ -100,6 +125,8 @@ def build_config(values: dict[str, Any]) -> RunConfig:
     merged: dict[str, Any] = load_toml(config) if config else {}
     if "noise" in given:
         given["noise"] = read_noise(given["noise"])
+    if "ism" in given:
+        given["ism"] = read_ism(given["ism"])
     if "monitors" in given:
         given["monitors"] = tuple(n.strip() for n in given["monitors"].split(",") if n.strip())
     if "truth_ecef" in given:

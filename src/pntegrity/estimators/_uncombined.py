@@ -81,7 +81,7 @@ def _usable(o: Observation) -> Observation:
 
 @lru_cache(maxsize=64)
 def _of_satellites(code: tuple[str, ...], products: tuple[str, ...]) -> tuple[IndexArray, IndexArray]:
-    """Return which products are of a satellite with code (or of none), and where that stands (-1: of none)."""
+    """Return which products are of a satellite with code or of none, and where that stands (-1: of none)."""
     where = {group_of(k): i for i, k in enumerate(code)} | {"": -1}
     pairs = [(i, where[s]) for i, k in enumerate(products) if (s := owner_of(k)) in where]
     index = np.array(pairs, dtype=np.intp).reshape(-1, 2)

@@ -44,6 +44,7 @@ class PppRtk:
     monitoring: ClassVar[dict[str, dict[str, Any]]] = {
         "srctm": {"block": "pos+amb"}, "aime": {"window": 10}, "sraime": {"block": "pos+amb", "window": 10},
     }  # fmt: skip
+    monitors: ClassVar[tuple[str, ...]] = ("separation",)
     policy: ClassVar[dict[str, Any]] = {"proof_s": 10.0}
     settle_s: ClassVar[float] = 3600.0
     clip_sigma: ClassVar[float] = 4.0

@@ -11,7 +11,7 @@ import importlib
 import io
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,18 +22,63 @@ import numpy.typing as npt
 
 from pntegrity.errors import InputError
 from pntegrity.formats._source import read_bytes
-from pntegrity.formats.clas import Row, series, unknown_in_words
+from pntegrity.formats.clas import Row, read_clas, series, unknown_in_words
 from pntegrity.physics.ssr_corrections import ClasCorrections
-from pntegrity.physics.time import WEEK_NS, from_week_tow
+from pntegrity.physics.tables import SignalTable
+from pntegrity.physics.time import WEEK_NS, from_week_tow, to_week_tow
 
-__all__ = ["EXTRA", "read_l6"]
+__all__ = ["EXTRA", "corrections_for", "read_l6"]
 
 EXTRA = "pip install 'pntegrity[clas]'"
 FRAME, PREAMBLE = 250, b"\x1a\xcf\xfc\x1d"
-SUBFRAME_S, SUBFRAME_FRAMES = 5, 5
+SUBFRAME_S, SUBFRAME_FRAMES, WEEK_S = 5, 5, 604_800
 ALERT = 0x80
 """First bit after preamble, satellite number and message type: do not use."""
 HEIGHT_M = (-1_000.0, 20_000.0)
+
+
+def corrections_for(
+    table: SignalTable, paths: Sequence[Path | str], grid: Path | str | None = None,
+    receiver_m: npt.ArrayLike | None = None,
+) -> ClasCorrections:  # fmt: skip
+    """Read the corrections for a log, decoded files or one raw file, told by content.
+
+    Parameters
+    ----------
+    table : SignalTable
+        Tells week and end of the log, and where the receiver is.
+    paths : sequence of Path
+        Decoded CSV files, or one file of L6 messages.
+    grid : Path, optional
+        Definition of the grid points, needed with a raw file.
+    receiver_m : array, shape (3,), optional
+        ECEF, good to a kilometre; the position in the log's header where not given.
+
+    Raises
+    ------
+    InputError
+        As `clas.read_clas` and `read_l6`; a raw file with others, without the grid or a position.
+    """
+    raw = [p for p in paths if read_bytes(p).find(PREAMBLE, 0, 2 * FRAME) >= 0]
+    if not raw:
+        return read_clas(paths)
+    place = table.approx_position_m if receiver_m is None else receiver_m
+    if len(paths) > 1:
+        raise InputError("a file of L6 messages goes alone", path=raw[0], hint="Join raw files end to end")
+    if grid is None:
+        raise InputError(
+            "raw L6 messages need the grid's definition",
+            path=raw[0],
+            hint="Give clas_grid.def of the service",
+        )
+    if place is None:
+        raise InputError(
+            "the log does not tell where the receiver is",
+            path=table.source,
+            hint="Give a position good to a kilometre",
+        )
+    week = to_week_tow(int(table.t_ns[0]))[0]
+    return read_l6(raw[0], grid, week, place, end_ns=int(table.t_ns[-1]))
 
 
 @dataclass
@@ -136,11 +181,10 @@ def _subframes(decoder: Any, data: bytes, path: Path, week: int, dropped: Counte
     """Feed messages; yield the time at which each whole sub-frame was there, ns of GPS time."""
     last = -1
     for frame in _frames(data, path, dropped):
-        decoder.decode_l6msg(frame, 0)
-        if decoder.fcnt != SUBFRAME_FRAMES:
-            continue
-        if decoder.decode_cssr(decoder.buff, 0) == 0 or decoder.tow < 0:
+        whole = _fed(decoder, frame)
+        if whole is False:
             dropped["sub-frame cannot be decoded"] += 1
+        if not whole:
             continue
         t_ns = int(from_week_tow(week, decoder.tow + SUBFRAME_S))
         while t_ns < last - WEEK_NS // 2:
@@ -148,6 +192,24 @@ def _subframes(decoder: Any, data: bytes, path: Path, week: int, dropped: Counte
         if t_ns > last:
             last = t_ns
             yield t_ns
+
+
+def _fed(decoder: Any, frame: bytes) -> bool | None:
+    """Feed a message; return True with a whole sub-frame, None within one, False where it is damaged.
+
+    Damaged messages can break the decoder anywhere; all kinds of corrections must then come anew.
+    """
+    try:
+        decoder.decode_l6msg(frame, 0)
+        if decoder.fcnt != SUBFRAME_FRAMES:
+            return None
+        if decoder.decode_cssr(decoder.buff, 0) != 0 and 0 <= decoder.tow < WEEK_S:
+            return True
+    except Exception:  # KeyError, IndexError, its bit reader's own
+        decoder.fcnt = -1
+    for part in decoder.lc:
+        part.cstat = 0
+    return False
 
 
 def _frames(data: bytes, path: Path, dropped: Counter[str]) -> Iterator[bytes]:

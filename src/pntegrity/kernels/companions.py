@@ -58,12 +58,13 @@ class Companions:
 def accompany(
     beside: Companions | None, bank: Subfilters, F: FloatArray, Q: FloatArray, H: FloatArray, R: FloatArray,
     actual: FloatArray | None, nominal: FloatArray, keys: Sequence[str], used: npt.NDArray[np.bool_],
-) -> Companions | None:  # fmt: skip
-    """Return what goes beside the first members after an epoch; None where there is nothing to tell.
+) -> Companions:  # fmt: skip
+    """Return what goes beside the members of a bank after an epoch.
 
     Parameters
     ----------
     beside : Companions or None
+        None: it begins.
     bank : Subfilters
         Before the epoch.
     F, Q, H, R : ndarray
@@ -74,13 +75,11 @@ def accompany(
         Largest bias of each row without a fault.
     keys : sequence of str
     used : ndarray of bool, shape (M, m)
-        Rows of the first M members.
+        Rows of each member.
     """
-    if beside is None and actual is None and not nominal.any():
-        return None
-    few = Subfilters(bank.delta[: len(used)], bank.P[: len(used)], bank.active[: len(used)])
-    beside = _with_columns(beside or Companions.begin(few), [k for k, b in zip(keys, nominal, strict=True) if b])
-    K = gains(predicted(few.P, F, Q), H, R, used)
+    biased = [k for k, b in zip(keys, nominal, strict=True) if b]
+    beside = _with_columns(beside or Companions.begin(bank), biased)
+    K = gains(predicted(bank.P, F, Q), H, R, used)
     A = np.eye(len(Q)) - K @ H
     at = [beside.keys.index(k) if k in beside.keys else -1 for k in keys]
     unit = np.zeros((len(keys), len(beside.keys)))

@@ -1,12 +1,12 @@
 """A bank of subfilters beside a Kalman filter: each does without some rows, since ever, on the same F, Q, H, R.
 
 Member `i` is held as ``delta_i = x_i - x_0``, its difference from the filter, and its covariance ``P_i``. Its
-innovation is ``nu - H delta'_i``, so nothing but updates is needed. Rows are used a few at a time
-where `R` is diagonal. Member 0 uses all rows: its covariance is that of the filter, with the same rounding as
-the others', so that ``P_i - P_0`` is exact even where it is small.
+innovation is ``nu - H delta'_i``, so nothing but updates is needed. Rows are used a few at a time where `R` is
+diagonal. Member 0 uses all rows and is the filter again, with the same rounding as the others, so that
+``x_i - x_0`` and ``P_i - P_0`` are exact even where they are small.
 
-A state that no row of a member has ever touched is dormant in it: independent of all others, with the
-variance that it was born with. It costs nothing until a row touches it.
+A state that no row of a member has ever touched is idle in it: independent of all others, with the variance
+that it was born with. It is carried along, since to take it out and put it back costs more.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from pntegrity.kernels.sparse import Sparse, folded, left, nonzeros
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.intp]
 
 BLOCK = 8
 """Rows that are used together."""
 
-__all__ = ["Subfilters", "advance", "coupled_states", "gains", "predicted", "replicate"]
+__all__ = ["Subfilters", "advance", "gains", "predicted", "replicate"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,42 +36,27 @@ class Subfilters:
     Parameters
     ----------
     delta : ndarray, shape (M, n)
-        Mean of each member minus that of the filter; that of member 0 is rounding.
+        Mean of each member minus that of member 0.
     P : ndarray, shape (M, n, n)
         Covariances.
-    active : ndarray of bool, shape (M, n)
-        States that a row of the member has touched.
     """
 
     delta: FloatArray
     P: FloatArray
-    active: BoolArray
 
-    def take(self, source: npt.NDArray[np.intp], origin: int = 0) -> Subfilters:
+    def take(self, source: IntArray, origin: int = 0) -> Subfilters:
         """Return members in another order or several times, their means relative to that of `origin`."""
-        return Subfilters(self.delta[source] - self.delta[origin], self.P[source], self.active[source])
+        return Subfilters(self.delta[source] - self.delta[origin], self.P[source])
 
 
-def replicate(P: FloatArray, active: bool = True) -> Subfilters:
-    """Return a bank of one member that knows what the filter knows; not `active`: no row was used yet."""
-    n = len(P)
-    return Subfilters(np.zeros((1, n)), P[None].copy(), np.full((1, n), active))
-
-
-def coupled_states(F: FloatArray, Q: FloatArray) -> BoolArray:
-    """Return the states that a step correlates with others, shape (n,)."""
-    several = np.count_nonzero(F, axis=1) > 1
-    if several.any():  # what feeds them goes on under its own name: a state of one source
-        fed = np.flatnonzero(F[several].any(axis=0))
-        several = several | F[:, fed].any(axis=1)
-    noise = Q != 0.0
-    np.fill_diagonal(noise, False)
-    return np.asarray(several | noise.any(axis=1))
+def replicate(P: FloatArray) -> Subfilters:
+    """Return a bank of one member that knows what the filter knows."""
+    return Subfilters(np.zeros((1, len(P))), P[None].copy())
 
 
 def advance(
     bank: Subfilters, F: FloatArray, Q: FloatArray, H: FloatArray, R: FloatArray, nu: FloatArray,
-    used: BoolArray,
+    used: BoolArray, source: IntArray | None = None, origin: int = 0,
 ) -> Subfilters:  # fmt: skip
     """Return the bank after one epoch of the filter.
 
@@ -85,146 +71,126 @@ def advance(
         Innovation of the filter.
     used : ndarray of bool, shape (M, m)
         Which rows each member uses.
+    source : ndarray of int, shape (M,), optional
+        Where each member stood in `bank`, and which member the filter goes on from; see `Subfilters.take`.
+    origin : int
     """
-    coupled = coupled_states(F, Q)
+    source = np.arange(len(used)) if source is None else source
     if np.count_nonzero(R) > np.count_nonzero(np.diagonal(R)):
-        return _advance_dense(bank, F, Q, H, R, nu, used)
-    rows = nonzeros(H)
-    found = _advance(
-        bank.delta, bank.P, bank.active, nonzeros(F), Q, coupled, rows, np.diagonal(R).copy(), nu, used
-    )
-    return Subfilters(*found)
+        return _advance_dense(bank.take(source, origin), F, Q, H, R, nu, used)
+    delta = bank.delta[source] - bank.delta[origin]
+    parts, noise, rows = nonzeros(F), nonzeros(Q), nonzeros(H)
+    mean, P = _advance(delta, bank.P, source, parts, noise, rows, np.diagonal(R).copy(), nu, used)
+    return Subfilters(mean - mean[0], P)
 
 
 @njit(cache=True, nogil=True)
 def _advance(
-    delta: FloatArray, P: FloatArray, active: BoolArray, F: Sparse, Q: FloatArray, coupled: BoolArray,
-    H: Sparse, r: FloatArray, nu: FloatArray, used: BoolArray,
-) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    count, n = len(used), len(Q)
-    delta_new, P_new = np.empty((count, n)), np.zeros((count, n, n))
-    active_new = np.zeros((count, n), dtype=np.bool_)
+    delta: FloatArray, P: FloatArray, place: IntArray, F: Sparse, Q: Sparse, H: Sparse, r: FloatArray,
+    nu: FloatArray, used: BoolArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    count, n = len(used), len(F[0]) - 1
+    delta_new, P_new = np.empty((count, n)), np.empty((count, n, n))
     source, scale = _sources(F, n)
     for i in range(count):
-        mean = left(F, delta[i].copy().reshape(-1, 1))[:, 0]
-        _wake(F, active[i], coupled, H, used[i], active_new[i])
-        at = np.flatnonzero(active_new[i])
+        before, U = P[place[i]], P_new[i]
         if len(source):
-            U = _moved(P[i], Q, source[at], scale[at], at)
+            _moved(before, source, scale, U)
         else:
-            U = (folded(F, left(F, P[i])) + Q)[at][:, at]
-        _use_rows(U, mean, at, H, r, nu, used[i])
-        _spread(U, at, P_new[i])
-        _rest(F, P[i], Q, active_new[i], P_new[i])
+            U[:] = folded(F, left(F, before))
+        for a in range(n):
+            for s in range(Q[0][a], Q[0][a + 1]):
+                U[a, Q[1][s]] += Q[2][s]
+        mean = left(F, delta[i].copy().reshape(-1, 1))[:, 0]
+        _use_rows(U, mean, H, r, nu, used[i])
+        _mirror(U)
         delta_new[i] = mean
-    return delta_new, P_new, active_new
+    return delta_new, P_new
 
 
 @njit(cache=True, nogil=True)
 def _sources(F: Sparse, n: int) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """Return where each state comes from (-1: nowhere) and how scaled; nothing where one has several
+    """Return where each state comes from and how scaled (0: from nowhere); nothing where one has several
     sources.
     """
-    source, scale = np.full(n, -1, dtype=np.int64), np.zeros(n)
+    source, scale = np.arange(n), np.zeros(n)
     for a in range(n):
         if F[0][a + 1] - F[0][a] > 1:
             return source[:0], scale[:0]
         if F[0][a + 1] > F[0][a]:
             source[a], scale[a] = F[1][F[0][a]], F[2][F[0][a]]
+        else:
+            source[a] = -1
     return source, scale
 
 
 @njit(cache=True, nogil=True)
-def _moved(
-    P: FloatArray, Q: FloatArray, source: npt.NDArray[np.int64], scale: FloatArray, at: npt.NDArray[np.intp]
-) -> FloatArray:
-    """Return the upper triangle of the prediction of some states that come from at most one each."""
-    n = len(at)
-    U = np.empty((n, n))
+def _moved(P: FloatArray, source: npt.NDArray[np.int64], scale: FloatArray, out: FloatArray) -> None:
+    """Write ``F P F^T`` where every state comes from at most one."""
+    n = len(source)
+    same = len(P) == n
     for a in range(n):
-        noise, row = Q[at[a]], U[a]
+        same &= source[a] == a or source[a] < 0
+    for a in range(n):
+        row = out[a]
         if source[a] < 0:
-            for b in range(a, n):
-                row[b] = noise[at[b]]
-            continue
-        before = P[source[a]]
-        for b in range(a, n):
-            row[b] = noise[at[b]] + (scale[a] * scale[b] * before[source[b]] if source[b] >= 0 else 0.0)
-    return U
+            row[:] = 0.0
+        elif same:
+            row[:] = scale[a] * P[a] * scale
+        else:
+            before = P[source[a]]
+            for b in range(n):
+                row[b] = scale[a] * scale[b] * before[source[b]] if source[b] >= 0 else 0.0
 
 
 @njit(cache=True, nogil=True)
-def _spread(U: FloatArray, at: npt.NDArray[np.intp], P: FloatArray) -> None:
-    """Write an upper triangle of some states into a whole covariance."""
-    for a in range(len(at)):
-        for b in range(a, len(at)):
-            P[at[a], at[b]] = U[a, b]
-            P[at[b], at[a]] = U[a, b]
-
-
-@njit(cache=True, nogil=True)
-def _rest(F: Sparse, P: FloatArray, Q: FloatArray, active: BoolArray, out: FloatArray) -> None:
-    """Write the variances of states that are dormant: they have at most one source."""
-    for a in range(len(active)):
-        if not active[a]:
-            out[a, a] = Q[a, a]
-            for s in range(F[0][a], F[0][a + 1]):
-                out[a, a] += F[2][s] ** 2 * P[F[1][s], F[1][s]]
-
-
-@njit(cache=True, nogil=True)
-def _wake(
-    F: Sparse, active: BoolArray, coupled: BoolArray, H: Sparse, used: BoolArray, out: BoolArray
-) -> None:
-    """Write which states are active after the step and with the epoch's rows."""
-    for a in range(len(out)):
-        out[a] = coupled[a]
-        for s in range(F[0][a], F[0][a + 1]):
-            out[a] |= active[F[1][s]]
-    for k in range(len(used)):
-        if used[k]:
-            for s in range(H[0][k], H[0][k + 1]):
-                out[H[1][s]] = True
+def _mirror(U: FloatArray) -> None:
+    for a in range(len(U)):
+        for b in range(a):
+            U[a, b] = U[b, a]
 
 
 @njit(cache=True, nogil=True)
 def _use_rows(
-    U: FloatArray, mean: FloatArray, at: npt.NDArray[np.intp], H: Sparse, r: FloatArray, nu: FloatArray,
-    used: BoolArray,
-) -> None:  # fmt: skip
-    """Use rows, a few at a time, on the states `at`; `U` (upper triangle) and `mean` are changed in place."""
-    n = len(at)
-    place = np.full(len(mean), -1, dtype=np.int64)
-    place[at] = np.arange(n)
-    x, rows = mean[at], np.flatnonzero(used)
+    U: FloatArray, x: FloatArray, H: Sparse, r: FloatArray, nu: FloatArray, used: BoolArray
+) -> None:
+    """Use rows, a few at a time; `U` (upper triangle) and `x` are changed in place."""
+    n = len(x)
+    rows = np.flatnonzero(used)
     G, residual = np.empty((BLOCK, n)), np.empty(BLOCK)
+    C, known = np.empty((n, n)), np.full(n, -1, dtype=np.int64)
     for first in range(0, len(rows), BLOCK):
         few = rows[first : first + BLOCK]
-        _project(U, x, place, H, nu, few, G, residual)
-        _whiten_block(place, H, r, few, G, residual)
+        _project(U, x, H, nu, few, C, known, first, G, residual)
+        _whiten_block(H, r, few, G, residual)
         G[len(few) :] = 0.0
         for j in range(len(few)):
             _add(x, residual[j], G[j])
         _take_off(U, G)
-    mean[at] = x
 
 
 @njit(cache=True, nogil=True)
 def _project(
-    U: FloatArray, x: FloatArray, place: npt.NDArray[np.int64], H: Sparse, nu: FloatArray,
-    few: npt.NDArray[np.intp], G: FloatArray, residual: FloatArray,
+    U: FloatArray, x: FloatArray, H: Sparse, nu: FloatArray, few: IntArray, C: FloatArray,
+    known: npt.NDArray[np.int64], mark: int, G: FloatArray, residual: FloatArray,
 ) -> None:  # fmt: skip
-    """Write ``H P`` and the innovations of a few rows; of `U` the upper triangle counts."""
+    """Write ``H P`` and the innovations of a few rows; of `U` the upper triangle counts.
+
+    A column that several rows need is put together once: in `C`, where `known` has the `mark` of these rows.
+    """
     for j in range(len(few)):
         k, g = few[j], G[j]
         g[:] = 0.0
         residual[j] = nu[k]
         for s in range(H[0][k], H[0][k + 1]):
-            c, h = place[H[1][s]], H[2][s]
+            c, h = H[1][s], H[2][s]
             residual[j] -= h * x[c]
-            for a in range(c):
-                g[a] += h * U[a, c]
-            _add(g[c:], h, U[c, c:])
+            if known[c] != mark:
+                known[c] = mark
+                for a in range(c):
+                    C[c, a] = U[a, c]
+                C[c, c:] = U[c, c:]
+            _add(g, h, C[c])
 
 
 @njit(cache=True, nogil=True)
@@ -235,10 +201,7 @@ def _add(out: FloatArray, scale: float, a: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _whiten_block(
-    place: npt.NDArray[np.int64], H: Sparse, r: FloatArray, few: npt.NDArray[np.intp], G: FloatArray,
-    residual: FloatArray,
-) -> None:  # fmt: skip
+def _whiten_block(H: Sparse, r: FloatArray, few: IntArray, G: FloatArray, residual: FloatArray) -> None:
     """Turn ``H P`` and the innovations of a few rows into those of their whitened sums, in place."""
     count = len(few)
     L = np.zeros((count, count))
@@ -246,7 +209,7 @@ def _whiten_block(
         k = few[j]
         for i in range(j, count):
             for s in range(H[0][k], H[0][k + 1]):
-                L[i, j] += H[2][s] * G[i, place[H[1][s]]]
+                L[i, j] += H[2][s] * G[i, H[1][s]]
         L[j, j] += r[k]
     for j in range(count):  # the root of S, and at once its use: few rows, so without calls
         for i in range(j):
@@ -264,16 +227,24 @@ def _whiten_block(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _take_off(U: FloatArray, G: FloatArray) -> None:
-    """Subtract ``G^T G`` from the upper triangle of `U`; slices from the diagonal on let it be vectorised."""
-    for a in range(len(U)):
-        row, g0, g1, g2, g3 = U[a, a:], G[0, a:], G[1, a:], G[2, a:], G[3, a:]
+    """Subtract ``G^T G`` from the upper triangle of `U`, two rows at a time.
+
+    Slices from the diagonal on let it be vectorised; one element below the diagonal is touched, too.
+    """
+    n = len(U)
+    for a in range(0, n - 1, 2):
+        row, next_row = U[a, a:], U[a + 1, a:]
+        g0, g1, g2, g3 = G[0, a:], G[1, a:], G[2, a:], G[3, a:]
         g4, g5, g6, g7 = G[4, a:], G[5, a:], G[6, a:], G[7, a:]
         p0, p1, p2, p3, p4, p5, p6, p7 = g0[0], g1[0], g2[0], g3[0], g4[0], g5[0], g6[0], g7[0]
+        q0, q1, q2, q3, q4, q5, q6, q7 = g0[1], g1[1], g2[1], g3[1], g4[1], g5[1], g6[1], g7[1]
         for b in range(len(row)):
-            row[b] -= (
-                p0 * g0[b] + p1 * g1[b] + p2 * g2[b] + p3 * g3[b]
-                + p4 * g4[b] + p5 * g5[b] + p6 * g6[b] + p7 * g7[b]
-            )  # fmt: skip
+            x0, x1, x2, x3, x4, x5, x6, x7 = g0[b], g1[b], g2[b], g3[b], g4[b], g5[b], g6[b], g7[b]
+            row[b] -= p0 * x0 + p1 * x1 + p2 * x2 + p3 * x3 + p4 * x4 + p5 * x5 + p6 * x6 + p7 * x7
+            next_row[b] -= q0 * x0 + q1 * x1 + q2 * x2 + q3 * x3 + q4 * x4 + q5 * x5 + q6 * x6 + q7 * x7
+    if n % 2:
+        for j in range(BLOCK):
+            U[n - 1, n - 1] -= G[j, n - 1] ** 2
 
 
 def predicted(P: FloatArray, F: FloatArray, Q: FloatArray) -> FloatArray:
@@ -314,4 +285,4 @@ def _advance_dense(
     P = A @ prior @ np.swapaxes(A, 1, 2) + K @ R @ np.swapaxes(K, 1, 2)
     mean = bank.delta @ F.T
     mean = mean + np.einsum("inm,im->in", K, nu - mean @ H.T)
-    return Subfilters(mean, 0.5 * (P + np.swapaxes(P, 1, 2)), np.ones(mean.shape, dtype=bool))
+    return Subfilters(mean - mean[0], 0.5 * (P + np.swapaxes(P, 1, 2)))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from pntegrity.bounds.ism import Ism
 from pntegrity.kernels.axes import local_axes, track_axes
@@ -19,6 +20,7 @@ from pntegrity.monitors._options import check_test
 from pntegrity.monitors._window import no_redundancy, unavailable
 from pntegrity.records import FloatArray, Layout, State, Update, Verdict
 
+BoolArray = npt.NDArray[np.bool_]
 #: What a group that is out of view moves the position by, in standard deviations, to be remembered.
 FORGOTTEN = 0.05
 #: A way has a course where it is this many standard deviations long, and this many metres.
@@ -42,6 +44,19 @@ class SeparationMemory:
     groups: tuple[str, ...] = ()
     since_ns: int = 0
     where_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    beside: Companions | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """How a bank goes into an epoch: `source` and `origin` are where its members stand in it."""
+
+    bank: Subfilters
+    F: FloatArray
+    Q: FloatArray
+    source: npt.NDArray[np.intp]
+    origin: int
+    since_ns: int
     beside: Companions | None = None
 
 
@@ -113,7 +128,7 @@ class Separation:
         if memory.bank is None or memory.t_ns != state.t_ns:
             return state
         chosen = int(sources(memory.members, ((),), self._events(memory, groups))[0])
-        mean = state.mean + memory.bank.delta[chosen] - memory.bank.delta[0]
+        mean = state.mean + memory.bank.delta[chosen]
         return State(state.t_ns, mean, memory.bank.P[chosen], state.layout)
 
     def step(self, memory: SeparationMemory, update: Update) -> tuple[Verdict, SeparationMemory]:
@@ -140,17 +155,17 @@ class Separation:
             return CarriedTest.impossible(no_redundancy(update)), after
         spread = alone._spread(replace(memory, where_m=np.zeros(0)), after, update)
         allowed = self._allowed(spread, cast)
-        bank, F, Q, since_ns, _ = alone._before(memory, update, cast, _follows(memory, update))
-        K = gains(predicted(bank.P, F, Q), update.H, update.R, used_rows(cast, update.keys))
+        step = alone._into(memory, update, cast)
+        prior = predicted(step.bank.P[step.source], step.F, step.Q)
+        K = gains(prior, update.H, update.R, used_rows(cast, update.keys))
         axes = np.zeros((3, len(update.prior)))
         axes[:, position] = local_axes(after.where_m)
         inverse = np.zeros((len(cast.members), 3))
         inverse[1 : 1 + len(allowed)] = np.divide(1.0, allowed, out=np.zeros_like(allowed), where=allowed > 0.0)
-        stood = sources(memory.members, cast.members, ()) if _follows(memory, update) else None
         test = CarriedTest(
-            np.zeros(len(cast.members), np.intp) if stood is None else stood,
-            (np.eye(len(Q)) - K @ update.H) @ F, (K - update.K) @ update.L, axes, inverse, self.factor,
-            self.p_fa, 1 + round((update.t_ns - since_ns) * 1e-9), "" if inverse.any() else NO_MODES,
+            step.source, (np.eye(len(prior[0])) - K @ update.H) @ step.F, (K - update.K) @ update.L, axes,
+            inverse, self.factor, self.p_fa, 1 + round((update.t_ns - step.since_ns) * 1e-9),
+            "" if inverse.any() else NO_MODES,
         )  # fmt: skip
         after = replace(after, groups=_remembered(after.groups, update, cast, spread))
         return test, after
@@ -161,35 +176,41 @@ class Separation:
         present = set(update.groups())
         groups = tuple(sorted(present.union(memory.groups if follows else ())))
         cast = cast_of(self.ism, groups, self.pairs and self.variant == "exact")
-        bank, F, Q, since_ns, beside = self._before(memory, update, cast, follows)
+        step = self._into(memory, update, cast)
         used = used_rows(cast, update.keys)
-        few = 1 + len(cast.faults.monitored)
-        beside = accompany(
-            beside, bank, F, Q, update.H, update.R, update.R_accuracy, self._nominal(update.keys),
-            update.keys, used[:few],
-        )  # fmt: skip
         at = in_order(update.keys)  # the same sums whatever the order of the rows is
-        bank = advance(bank, F, Q, update.H[at], update.R[np.ix_(at, at)], update.nu[at], used[:, at])
+        rows = update.H[at], update.R[np.ix_(at, at)], update.nu[at], used[:, at]
+        bank = advance(step.bank, step.F, step.Q, *rows, step.source, step.origin)
         where = update.posterior.mean[update.posterior.layout.block("pos")]
         return cast, SeparationMemory(
-            update.t_ns, update.posterior.layout, cast.members, bank, groups, since_ns, where, beside
-        )
+            update.t_ns, update.posterior.layout, cast.members, bank, groups, step.since_ns, where,
+            self._beside(step, cast, update, used),
+        )  # fmt: skip
 
-    def _before(
-        self, memory: SeparationMemory, update: Update, cast: Cast, follows: bool
-    ) -> tuple[Subfilters, FloatArray, FloatArray, int, Companions | None]:
-        """Return the bank that steps into `update`, the step, when the bank began, and what goes beside."""
-        if not follows or memory.bank is None:  # the bank begins: all members know what the filter knows
-            n = len(update.prior)
-            bank = replicate(update.prior.P, not update.is_start).take(np.zeros(len(cast.members), np.intp))
-            return bank, np.eye(n), np.zeros((n, n)), update.t_ns, None
+    def _into(self, memory: SeparationMemory, update: Update, cast: Cast) -> _Step:
+        """Return the step into `update`, and where each member comes from."""
+        if memory.bank is None or not _follows(memory, update):
+            n = len(update.prior)  # the bank begins: all members know what the filter knows
+            none = np.zeros(len(cast.members), np.intp)
+            return _Step(replicate(update.prior.P), np.eye(n), np.zeros((n, n)), none, 0, update.t_ns)
         without = self._events(memory, frozenset(update.switched))
         source = sources(memory.members, cast.members, without)
         origin = int(sources(memory.members, ((),), without)[0])
-        few = source[: 1 + len(cast.faults.monitored)]
-        known = memory.beside is not None and not without and few.max() < len(memory.beside.own)
-        beside = memory.beside.take(few) if memory.beside is not None and known else None
-        return memory.bank.take(source, origin), update.F, update.Q, memory.since_ns, beside
+        beside = None if without else memory.beside
+        return _Step(memory.bank, update.F, update.Q, source, origin, memory.since_ns, beside)
+
+    def _beside(self, step: _Step, cast: Cast, update: Update, used: BoolArray) -> Companions | None:
+        """Return what goes beside the filter and the monitored modes after `update`."""
+        few = slice(0, 1 + len(cast.faults.monitored))
+        nominal, beside = self._nominal(update.keys), step.beside
+        if beside is None and update.R_accuracy is None and not nominal.any():
+            return None
+        source = step.source[few]
+        known = beside.take(source) if beside is not None and source.max() < len(beside.own) else None
+        return accompany(
+            known, step.bank.take(source, step.origin), step.F, step.Q, update.H, update.R,
+            update.R_accuracy, nominal, update.keys, used[few],
+        )  # fmt: skip
 
     def _events(self, memory: SeparationMemory, groups: frozenset[str]) -> Member:
         """Return the names of the events behind groups that are left out."""
@@ -218,7 +239,7 @@ class Separation:
             axes = axes if track is None else np.concatenate([axes, track])
         forgets = not update.F[position].any()
         born = float(np.diagonal(update.Q)[position].min()) if forgets else np.inf
-        apart = (bank.delta - bank.delta[0])[:, position]
+        apart = bank.delta[:, position]
         spread = Spread.of(axes, apart, P, born)
         return spread if after.beside is None else spread.refined(axes, after.beside, position)
 

@@ -211,7 +211,7 @@ def _measurements(
         }  # fmt: skip
     out = {}
     for (name, y), letter in zip(values.items(), "CDL", strict=True):
-        at = np.flatnonzero(np.isfinite(y))
+        at = np.flatnonzero(np.isfinite(y + own[name].get("model_m", 0.0)))
         first, second = carrier if letter == "L" else code
         second = second[at] if letter != "D" else np.full(len(at), -1)
         keys = _keys(table, chosen.sat[rows.at[at]], letter, first[at], second)

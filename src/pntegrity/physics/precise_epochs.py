@@ -95,11 +95,11 @@ def precise_epochs(
     GnssEpochs
         As `gnss_epochs` gives with ``ionosphere_free``, or uncombined: keys ``"G05:C1W"``, ``"G05:C2W"``,
         ``"G05:L1C"``, ``"G05:L2W"``; ``iono_factor`` is then the delay in units of that on the satellite's
-        first band. Clocks refer to the ionosphere-free combination of `CLOCK_SIGNALS`, so that uncombined
-        delays of the ionosphere contain the satellites' biases between these two codes. `aux` has also ``model_m`` (to be added to
-        predictions: antennas, tides, wind-up, path delay, code biases); of ``"carrier"``: ``arc`` and
-        ``arc_reason``; of all ``clk_node_s``, the time since the last and until the next sample of the
-        satellite's clock (n, 2).
+        first band. Clocks refer to the ionosphere-free combination of `CLOCK_SIGNALS`: where no biases are
+        given, slant delays made of these rows contain the satellite's bias between these two codes.
+        `aux` has also ``model_m`` (to be added to predictions: antennas, tides, wind-up, path delay, code
+        biases); of ``"carrier"``: ``arc`` and ``arc_reason``; of all ``clk_node_s``, the time since the last
+        and until the next sample of the satellite's clock (n, 2).
 
     Raises
     ------
@@ -193,8 +193,7 @@ def _extra(
     shift, resets = clock_resets_m(table, chosen, band, order)
     piece = clock_pieces(products.clocks, chosen.sat, table.t_ns[chosen.epoch])
     arcs = arcs_of(table, chosen, band, order, piece, shift, facts.limits)
-    inner = Bands(band.freq_hz[order], band.freq2_hz[order])
-    join = inner.combine if combined else _side_by_side
+    join = Bands(band.freq_hz[order], band.freq2_hz[order]).combine if combined else None
     code, carrier, notes = _models(table, products, facts, chosen, states, t_ns, track_m, band, order, join)
     if resets:
         notes.append(f"{resets} jumps of the receiver clock in code only: carriers moved along")
@@ -211,22 +210,25 @@ def _slips_in_words(reason: npt.NDArray[np.int64]) -> list[str]:
 
 def _models(
     table: SignalTable, products: Products, facts: SiteFacts, chosen: Chosen, states: SatelliteStates,
-    t_ns: npt.NDArray[np.int64], track_m: FloatArray, band: Bands, order: npt.NDArray[np.intp], join: Join,
+    t_ns: npt.NDArray[np.int64], track_m: FloatArray, band: Bands, order: npt.NDArray[np.intp],
+    combine: Join | None,
 ) -> tuple[FloatArray, FloatArray, list[str]]:  # fmt: skip
-    """Return what is to be added to predicted code and carrier, of both bands as `join` has it, and notes."""
+    """Return what is to be added to predicted code and carrier, and notes; both bands combined, or side by
+    side, shape (n, 2).
+    """
     site = Site(track_m, table.antenna_delta_hen_m, facts.antenna, facts.ocean, facts.pole, facts.tides)
     first = int(np.searchsorted(table.t_ns, t_ns[0]))
     sky = sky_of(t_ns, chosen.epoch[order] - first, chosen.sat[order], states.position_m[order], site)
     both = []
     notes: list[str] = []
-    for slot, (rows, wave) in enumerate(
-        zip((chosen.first, chosen.second), band.wavelengths_m, strict=True)
-    ):
+    for slot, (rows, wave) in enumerate(zip((chosen.first, chosen.second), band.wavelengths_m, strict=True)):
         names = table.signal[rows[order]].astype("<U1")
         part = corrections_m(sky, names, wave[order], site, products.antennas)
         both.append(_with_signal_biases(part, table, products.biases, chosen, order, slot))
         notes += part.notes
-    found = join(both[0].code_m, both[1].code_m) + join(*_biases(table, products.biases, chosen, order, notes))
+    join = combine or _side_by_side
+    bias = _biases(table, products.biases, chosen, order, notes, apart=combine is None)
+    found = join(both[0].code_m, both[1].code_m) + join(*bias)
     code = np.full((len(chosen), *found.shape[1:]), np.nan)
     carrier = code.copy()
     code[order] = found
@@ -261,11 +263,13 @@ def _biases(
     chosen: Chosen,
     order: npt.NDArray[np.intp],
     notes: list[str],
+    apart: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
     """Return by how much the two codes are longer than those that the clocks refer to, m.
 
     Where the second is of another band, the combination is another one too: what that changes is added to
-    both.
+    both. For codes `apart` it is by how much they are longer than the clocks' combination, where that is
+    known.
     """
     out = []
     unknown: Counter[str] = Counter()
@@ -280,11 +284,20 @@ def _biases(
                 found = biases.difference_s(kind[:3], kind[3:], reference)
             if found is None:
                 unknown[f"{WORDS[kind[0]]} C{kind[3:]} against C{reference}"] += 1
-            values[i] = found or 0.0, _other_band(kind, biases) if slot else 0.0
+            known = _against_combination(kind, biases, slot) if apart else 0.0
+            values[i] = (found or 0.0) + known, _other_band(kind, biases) if slot and not apart else 0.0
         out.append(SPEED_OF_LIGHT_MPS * values[inverse])
     notes += [f"no code bias of {what} ({n} satellites): taken as 0" for what, n in unknown.items()]
     common = out[0][:, 1] + out[1][:, 1]
     return out[0][:, 0] + common, out[1][:, 0] + common
+
+
+def _against_combination(kind: str, biases: CodeBiases | None, slot: int) -> float:
+    """Return by how much one of the clocks' two codes is longer than their combination, s."""
+    one, two = CLOCK_SIGNALS[kind[0]]
+    between = biases.difference_s(kind[:3], one, two) if biases is not None else None
+    gamma = (frequency_hz(kind[0], one, 0) / frequency_hz(kind[0], two, 0)) ** 2
+    return (between or 0.0) * (gamma if slot else 1.0) / (1.0 - gamma)
 
 
 def _other_band(kind: str, biases: CodeBiases | None) -> float:

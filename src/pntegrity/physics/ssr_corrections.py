@@ -33,8 +33,9 @@ ReasonArray = npt.NDArray[np.object_]
 def quality_tecu(quality_m: npt.ArrayLike) -> FloatArray:
     """Return the accuracy of a slant content, TECU, of the indicator ``1e-3 (3^class (1 + value / 4) - 1)``.
 
-    That formula gives metres on L1: its last step, 5.4665 m, is the 33.6664 TECU of the interface
-    specification's table.
+    That formula, the one of the range accuracy (URA) too, is taken to give metres on L1. Taken as TECU it
+    would be six times less: about the 0.05 TECU by which slant contents drift from a receiver's carriers
+    within minutes, without their constant errors.
     """
     return np.asarray(quality_m, dtype=np.float64) / QUALITY_M_PER_TECU
 

@@ -283,8 +283,8 @@ PPP = NoiseModel(
     carrier_m=0.002, ambiguity_m=3e-4, isb_m=0.001, satellite_clock_m=0.007, name="default",
 )  # fmt: skip
 
-#: What uncombined PPP-RTK starts from. On real logs slant delays walk about 3 mm/sqrt(s): with 1 the filter is
-#: centimetres to decimetres off, and does not know.
+#: What uncombined PPP-RTK starts from. On real logs slant delays walk about 3 mm/sqrt(s): with a third of it
+#: positions are centimetres to decimetres off, and the filter does not know.
 PPP_RTK = NoiseModel(
     code_white_m=0.3, code_multipath_m=0.0, code_bias_m=0.0, glonass_code_bias_m=4.0, carrier_m=0.003,
     ambiguity_m=3e-5, isb_m=0.001, satellite_clock_m=0.007, zwd_walk_m=1e-4, iono_walk_m=3e-3,

@@ -18,7 +18,7 @@ from pntegrity.physics.orbits import SatelliteStates
 from pntegrity.physics.signals import frequency_hz
 from pntegrity.records import Epoch, FloatArray, Observation
 from pntegrity.sensors.gnss import geometry
-from pntegrity.sensors.noise import PPP_RTK, NoiseModel
+from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.precise import CN0_DBHZ, PreciseReceiver, States, bridges, placed
 from pntegrity.simulate.receiver import gauss_markov
 
