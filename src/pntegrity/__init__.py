@@ -10,9 +10,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pntegrity.bounds.ism import Ism
     from pntegrity.monitors.aime import Aime
     from pntegrity.monitors.glr import Glr
     from pntegrity.monitors.rctm import Rctm
+    from pntegrity.monitors.separation import Separation
     from pntegrity.monitors.sraime import Sraime
     from pntegrity.monitors.srctm import Srctm
     from pntegrity.pipeline import Pipeline
@@ -20,13 +22,18 @@ if TYPE_CHECKING:
     from pntegrity.watch import Watch
 
 __version__ = "0.2.0"
-__all__ = ["Aime", "Glr", "Pipeline", "Rctm", "Sraime", "Srctm", "Update", "Verdict", "Watch", "__version__"]
+__all__ = [
+    "Aime", "Glr", "Ism", "Pipeline", "Rctm", "Separation", "Sraime", "Srctm", "Update", "Verdict", "Watch",
+    "__version__",
+]  # fmt: skip
 
 _HOME = {
     "Aime": "monitors.aime",
     "Glr": "monitors.glr",
+    "Ism": "bounds.ism",
     "Pipeline": "pipeline",
     "Rctm": "monitors.rctm",
+    "Separation": "monitors.separation",
     "Sraime": "monitors.sraime",
     "Srctm": "monitors.srctm",
     "Update": "records",

@@ -32,7 +32,6 @@ __all__ = [
 ]
 
 Metres = Annotated[float, Field(allow_inf_nan=False)]
-DEFAULT_MONITORS = ("rctm", "srctm", "aime", "sraime", "glr")
 
 
 class RunConfig(BaseModel):
@@ -104,7 +103,7 @@ class RunConfig(BaseModel):
         if not isinstance(values, dict) or "monitors" in values:
             return values
         known = discover_estimators().get(str(values.get("estimator", "spp_kf")))
-        return {**values, "monitors": getattr(known, "monitors", DEFAULT_MONITORS)}
+        return values if known is None else {**values, "monitors": known.monitors}
 
     @field_validator("monitors")
     @classmethod
@@ -136,7 +135,7 @@ class RunConfig(BaseModel):
     def _check_corrections(self) -> None:
         """Refuse corrections that nothing would use."""
         given = [name for name in ("atmosphere", "clas") if getattr(self, name)]
-        if given and self.estimator != "ppp_rtk":
+        if given and discover_estimators()[self.estimator].bands != "apart":
             raise ValueError(f"`{given[0]}` goes with --estimator ppp_rtk, not {self.estimator}")
         if self.clas and self.sp3:
             raise ValueError("`clas` corrects broadcast ephemerides: give it without --sp3")

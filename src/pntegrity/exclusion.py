@@ -13,6 +13,7 @@ from pntegrity.kernels.signatures import is_rate
 from pntegrity.kernels.subsets import search
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.records import Suspect, Update, Verdict, group_of
+from pntegrity.states import is_left_out
 
 #: First parts of the names of the states that all rows of an epoch share.
 COMMON = ("pos", "vel", "clk", "drift")
@@ -281,21 +282,20 @@ def review(
 
     `step_s` is the time since the epoch before.
     """
-    residual = _worst_residual(update)
     out = {}
     for group, s in standing.items():
-        now = _reviewed(s, update.t_ns, residual.get(group), group in present, policy, step_s)
+        residual = _worst_residual(update, group)
+        now = _reviewed(s, update.t_ns, residual, group in present, policy, step_s)
         if now is not None:
             out[group] = now
     return out
 
 
-def _worst_residual(update: Update) -> dict[str, float]:
-    worst: dict[str, float] = {}
-    for key, nu, var in zip(update.spare_keys, update.spare_nu, update.spare_var, strict=True):
-        group = group_of(key)
-        worst[group] = max(worst.get(group, 0.0), abs(float(nu)) / float(np.sqrt(var)))
-    return worst
+def _worst_residual(update: Update, group: str) -> float | None:
+    """Return the largest residual of a group that is left out, products about it included, in sigmas."""
+    out = frozenset([group])
+    rows = zip(update.spare_keys, update.spare_nu.tolist(), update.spare_var.tolist(), strict=True)
+    return max((abs(nu) / var**0.5 for key, nu, var in rows if is_left_out(key, out)), default=None)
 
 
 def _reviewed(

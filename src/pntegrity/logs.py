@@ -10,16 +10,15 @@ import numpy as np
 
 from pntegrity.errors import InputError
 from pntegrity.estimators._gnss import GnssOptions, track
-from pntegrity.formats.clas import read_clas
+from pntegrity.formats.clas_l6 import corrections_for
 from pntegrity.formats.products import ProductFiles, read_products
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.physics.atmosphere_products import AtmosphereProducts, with_products
 from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
 from pntegrity.physics.precise_epochs import precise_epochs
-from pntegrity.physics.ssr_corrections import ClasCorrections
 from pntegrity.physics.ssr_log import CLAS_SIGNALS, clas_inputs
 from pntegrity.physics.tables import Navigation, SignalTable
-from pntegrity.physics.time import SECOND_NS, WEEK_NS
+from pntegrity.physics.time import SECOND_NS
 from pntegrity.records import FloatArray
 from pntegrity.sensors.noise import PPP, NoiseModel
 
@@ -96,7 +95,7 @@ def clas_log(
     navigation = read_navigation(nav)
     options = GnssOptions(noise=noise)
     place = _place(table, navigation, systems, options)
-    inputs = clas_inputs(table, _corrections(table, clas, grid, place), navigation, place)
+    inputs = clas_inputs(table, corrections_for(table, clas, grid, place), navigation, place)
     found = precise_epochs(
         inputs.table, inputs.products, lambda epochs: track(epochs, options), systems=systems,
         signals=CLAS_SIGNALS, start_ns=span[0], end_ns=span[1], combined=False,
@@ -104,9 +103,7 @@ def clas_log(
     return with_atmosphere(found, inputs.atmosphere)
 
 
-def _place(
-    table: SignalTable, navigation: Navigation, systems: str, options: GnssOptions
-) -> FloatArray:
+def _place(table: SignalTable, navigation: Navigation, systems: str, options: GnssOptions) -> FloatArray:
     """Return about where the receiver is, from code and broadcast ephemerides."""
     end_ns = int(table.t_ns[0]) + FIRST_S * SECOND_NS
     rough = gnss_epochs(table, navigation, systems=systems, end_ns=end_ns).epochs
@@ -118,19 +115,3 @@ def _place(
             hint="Corrections hold for a place: give navigation files that cover the log's beginning",
         )  # fmt: skip
     return np.asarray(np.median(known, axis=0))
-
-
-def _corrections(
-    table: SignalTable, clas: Sequence[Path], grid: Path | None, place_m: FloatArray
-) -> ClasCorrections:
-    raw = [p for p in clas if p.name.lower().removesuffix(".gz").endswith(".l6")]
-    if not raw:
-        return read_clas(clas)
-    if len(clas) > 1 or grid is None:
-        raise InputError(
-            "raw L6 messages go alone, with the definition of their grid points", path=raw[0],
-            hint="Give one --clas file.l6 and --clas-grid clas_grid.def",
-        )  # fmt: skip
-    from pntegrity.formats.clas_l6 import read_l6
-
-    return read_l6(raw[0], grid, int(table.t_ns[0] // WEEK_NS), place_m, int(table.t_ns[-1]))

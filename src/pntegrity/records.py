@@ -342,7 +342,8 @@ class Bound:
     Parameters
     ----------
     east_m, north_m, up_m : float
-        The position error exceeds each with at most its share of the integrity risk, unless an alert is given.
+        The position error exceeds each with at most its share of the integrity risk, unless an alert is
+        given.
     sigma_m : tuple of float
         Standard deviations of the position east, north and up.
     along_m, cross_m : float or None

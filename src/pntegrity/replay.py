@@ -57,7 +57,8 @@ def monitored(
         if rewound:
             memories = [m.start() for m in monitors]
         steps = [
-            m.step(memory_for(m, memory, update), update) for m, memory in zip(monitors, memories, strict=True)
+            m.step(memory_for(m, memory, update), update)
+            for m, memory in zip(monitors, memories, strict=True)
         ]
         memories = [memory for _, memory in steps]
         yield update, [verdict for verdict, _ in steps]

@@ -71,7 +71,7 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
 
 
 def _broadcast(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
-    precise = config.estimator == "ppp"  # it has no model of the ionosphere
+    precise = discover()[config.estimator].bands != "one"  # these have no model of the ionosphere
     found = gnss_epochs(
         table,
         read_navigation(config.nav),
@@ -87,8 +87,8 @@ def _precise(config: RunConfig, table: SignalTable, span: tuple[int | None, int 
     files = ProductFiles(
         config.sp3, config.clk, config.bias, config.antex, config.blq, config.erp, config.station, config.nav
     )
-    combined = config.estimator != "ppp_rtk"  # it estimates slant delays
-    return precise_log(table, files, config.systems, span, config.noise_model(), combined=combined)
+    apart = discover()[config.estimator].bands == "apart"
+    return precise_log(table, files, config.systems, span, config.noise_model(), combined=not apart)
 
 
 def _clas(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:

@@ -16,7 +16,8 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
-    "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out", "rows_touched_by",
+    "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out",
+    "rows_touched_by",
 ]  # fmt: skip
 
 

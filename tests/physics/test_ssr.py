@@ -194,8 +194,9 @@ def test_biases_follow_time_and_one_channel_stands_for_both():
 
 
 def test_quality_is_coded_as_metres_on_l1():
-    one_tecu = metres_per_tecu(frequency_hz("G", "1C"))
-    assert quality_tecu(one_tecu) == pytest.approx(1.0, rel=1e-4)
+    # 1 TECU delays L1 by 0.162 m (40.3e16 / f^2)
+    assert quality_tecu(0.1624) == pytest.approx(1.0, rel=1e-3)
+    assert metres_per_tecu(frequency_hz("G", "1C")) * quality_tecu(0.04) == pytest.approx(0.04)
     assert np.isnan(quality_tecu(np.nan))
 
 

@@ -60,7 +60,8 @@ INPUT = [
     click.option(
         "--motion",
         type=click.Choice(["white", "walk", "velocity", "static"]),
-        help="What ppp and ppp_rtk know of the motion: nothing, a random walk, constant velocity, none.  [white]",
+        help="What ppp and ppp_rtk know of the motion: nothing, a random walk, constant velocity, none.  "
+        "[white]",
     ),
     click.option("--mask-deg", type=float, help="Elevation mask, degrees.  [10]"),
     click.option("--systems", help="Constellations: G GPS, R GLONASS, E Galileo, C BDS, J QZSS.  [GREC]"),
@@ -79,8 +80,8 @@ INPUT = [
 MONITORING = [
     click.option(
         "--monitors",
-        help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels).  [the first "
-        "five; ppp_rtk: separation]",
+        help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels).  [all but "
+        "the last; ppp_rtk: the last]",
     ),
     click.option(
         "--ism",

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar, Literal
 
 from pntegrity.estimators._carrier import precise_rows
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._precise_filter import PreciseFilter
-from pntegrity.records import Epoch, Prior, State, Update
+from pntegrity.estimators._usual import Precise
 from pntegrity.sensors.noise import PPP, Fitted, NoiseModel
 
 
 @dataclass(frozen=True)
-class Ppp:
+class Ppp(Precise):
     """Precise point positioning: code and carrier, receiver clock, wet delay, one ambiguity an arc.
 
     The position is white noise, a random walk, constant velocity with white acceleration, or static
@@ -33,13 +33,7 @@ class Ppp:
     """
 
     default_noise: ClassVar[NoiseModel] = PPP
-    max_gap_s: ClassVar[float] = 3600.0
-    monitoring: ClassVar[dict[str, dict[str, Any]]] = {
-        "srctm": {"block": "pos+amb"}, "aime": {"window": 10}, "sraime": {"block": "pos+amb", "window": 10},
-    }  # fmt: skip
-    policy: ClassVar[dict[str, Any]] = {"proof_s": 10.0}
-    settle_s: ClassVar[float] = 3600.0
-    clip_sigma: ClassVar[float] = 4.0
+    bands: ClassVar[Literal["one", "combined", "apart"]] = "combined"
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("carrier_m", 1e-4, 0.1, 1.5e-3, "white", rows="carrier"),
         Fitted("ambiguity_m", 1e-6, 0.01, 2e-4, "slow", rows="carrier"),
@@ -58,17 +52,3 @@ class Ppp:
     @property
     def _filter(self) -> PreciseFilter:
         return PreciseFilter(self.options, precise_rows)
-
-    def predict(self, state: State, epoch: Epoch) -> Prior:
-        """Return the prior at `epoch`; starts from a code fix where there is no state or the gap is too
-        long.
-        """
-        return self._filter.predict(state, epoch)
-
-    def relax(self, prior: Prior) -> Prior:
-        """Return the prior with position, velocity and clock born anew; all else stays known."""
-        return self._filter.relax(prior)
-
-    def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
-        """Use the epoch's rows but for those of the groups in `exclude`."""
-        return self._filter.correct(prior, epoch, exclude)

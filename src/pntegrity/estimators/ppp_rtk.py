@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar, Literal
 
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._precise_filter import PreciseFilter
 from pntegrity.estimators._uncombined import ionosphere_free, uncombined_rows
-from pntegrity.records import Epoch, Prior, State, Update
+from pntegrity.estimators._usual import Precise
 from pntegrity.sensors.noise import PPP_RTK, Fitted, NoiseModel
 
 
 @dataclass(frozen=True)
-class PppRtk:
+class PppRtk(Precise):
     """PPP with products of the atmosphere, undifferenced and uncombined.
 
     Each satellite has a slant delay of the ionosphere on its first frequency (a random walk) and an
@@ -40,14 +40,8 @@ class PppRtk:
     """
 
     default_noise: ClassVar[NoiseModel] = PPP_RTK
-    max_gap_s: ClassVar[float] = 3600.0
-    monitoring: ClassVar[dict[str, dict[str, Any]]] = {
-        "srctm": {"block": "pos+amb"}, "aime": {"window": 10}, "sraime": {"block": "pos+amb", "window": 10},
-    }  # fmt: skip
     monitors: ClassVar[tuple[str, ...]] = ("separation",)
-    policy: ClassVar[dict[str, Any]] = {"proof_s": 10.0}
-    settle_s: ClassVar[float] = 3600.0
-    clip_sigma: ClassVar[float] = 4.0
+    bands: ClassVar[Literal["one", "combined", "apart"]] = "apart"
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("carrier_m", 1e-4, 0.1, 1.5e-3, "white", rows="carrier"),
         Fitted("ambiguity_m", 1e-6, 0.01, 1e-4, "slow", rows="carrier"),
@@ -67,19 +61,3 @@ class PppRtk:
     @property
     def _filter(self) -> PreciseFilter:
         return PreciseFilter(self.options, uncombined_rows, ionosphere_free)
-
-    def predict(self, state: State, epoch: Epoch) -> Prior:
-        """Return the prior at `epoch`; starts from a code fix where there is no state or the gap is too
-        long.
-        """
-        return self._filter.predict(state, epoch)
-
-    def relax(self, prior: Prior) -> Prior:
-        """Return the prior with position, velocity and clock born anew; all else stays known."""
-        return self._filter.relax(prior)
-
-    def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
-        """Use the epoch's rows but for those of the groups in `exclude`; products of a satellite go with
-        it.
-        """
-        return self._filter.correct(prior, epoch, exclude)

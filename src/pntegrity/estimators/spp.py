@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from pntegrity.estimators._gnss import GnssOptions, Rows, rate_rows
 from pntegrity.estimators._navigation import fix_prior, linear_update
+from pntegrity.estimators._usual import Usual
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update
-from pntegrity.sensors.noise import Fitted, NoiseModel
+from pntegrity.sensors.noise import Fitted
 
 
 @dataclass(frozen=True)
-class Spp:
+class Spp(Usual):
     """Snapshot position, a clock a constellation, and velocity from range rates.
 
     Written as a filter that forgets everything: its prior is wide around the least-squares fix, so every
@@ -26,12 +27,6 @@ class Spp:
     options : GnssOptions
     """
 
-    default_noise: ClassVar[NoiseModel] = NoiseModel()
-    max_gap_s: ClassVar[float] = 120.0
-    monitoring: ClassVar[dict[str, dict[str, Any]]] = {}
-    policy: ClassVar[dict[str, Any]] = {}
-    settle_s: ClassVar[float] = 0.0
-    clip_sigma: ClassVar[float] = np.inf
     fitted: ClassVar[tuple[Fitted, ...]] = (
         Fitted("code_white_m", 0.005, 30.0, 0.3, "white"),
         Fitted("code_bias_m", 0.01, 20.0, 1.0, "slow"),

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from pntegrity.estimators._errors import error_kinds, error_states, propagate, s
 from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows, system_of
 from pntegrity.estimators._layout import columns, survivors
 from pntegrity.estimators._navigation import MOTION, START_CLOCK_M, START_VARIANCE, fix_prior, linear_update
+from pntegrity.estimators._usual import Usual
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
@@ -25,7 +26,7 @@ CLOCK_JUMP_M = 300.0
 
 
 @dataclass(frozen=True)
-class SppKf:
+class SppKf(Usual):
     """Extended Kalman filter of position, velocity, clock, drift, inter-system biases and satellite errors.
 
     Motion is white acceleration. The clock of the constellation seen first carries phase and drift; every
@@ -38,12 +39,7 @@ class SppKf:
     options : GnssOptions
     """
 
-    default_noise: ClassVar[NoiseModel] = NoiseModel()
-    max_gap_s: ClassVar[float] = 120.0
-    monitoring: ClassVar[dict[str, dict[str, Any]]] = {}
-    policy: ClassVar[dict[str, Any]] = {}
     settle_s: ClassVar[float] = 30.0
-    clip_sigma: ClassVar[float] = np.inf
     fitted: ClassVar[tuple[Fitted, ...]] = (  # starts: a geodetic receiver
         Fitted("doppler_mps", 1e-3, 5.0, 0.01),
         Fitted("code_multipath_m", 0.01, 30.0, 0.08, "slow"),

@@ -19,6 +19,7 @@ from pntegrity.evaluate.montecarlo import Planner, Test, count_alarms, plans
 from pntegrity.evaluate.power import spectrum
 from pntegrity.evaluate.visibility import Visibility, Watch
 from pntegrity.kernels.bank import MaximumTest
+from pntegrity.kernels.carried_test import CarriedTest
 from pntegrity.kernels.quadratic_tail import quadratic_tail
 from pntegrity.kernels.tails import chi2_tail, effective_tests, two_sided_tail
 from pntegrity.records import Update
@@ -193,6 +194,9 @@ def exact_rate(test: Test) -> tuple[float, float]:
     if isinstance(test, MaximumTest):
         single = float(two_sided_tail(np.sqrt(test.threshold)))
         return single, min(single * effective_tests(test.rho, float(np.sqrt(test.threshold))), 1.0)
+    if isinstance(test, CarriedTest):
+        tails = two_sided_tail(test.deviations) * (test.inverse > 0.0)
+        return float(tails.max(initial=0.0)), float(tails.sum())
     if test.form is None:
         return 0.0, 0.0
     exact = exact_tail(test, test.threshold)

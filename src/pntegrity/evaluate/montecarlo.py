@@ -305,7 +305,6 @@ class _Lane:
             if step.tested:
                 yield k, best
 
-
     def _separations(
         self, stretch: list[_Step], means: Sequence[FloatArray] | None
     ) -> Iterator[tuple[int, FloatArray]]:

@@ -19,6 +19,7 @@ from scipy import special
 
 from pntegrity.evaluate.montecarlo import Planned, Test
 from pntegrity.kernels.bank import MaximumTest
+from pntegrity.kernels.carried_test import CarriedTest
 from pntegrity.kernels.linear import whiten
 from pntegrity.kernels.quadratic_tail import quadratic_tail
 from pntegrity.kernels.tails import noncentral_tail, noncentrality_for, two_sided_tail
@@ -125,18 +126,18 @@ class _Weighted:
 
 @dataclass(frozen=True, eq=False)
 class _Largest:
-    """A bank: mean of its best hypothesis for unit faults, shape (c,), and the threshold on its size."""
+    """A bank: mean of its best test for unit faults, and the threshold on that one's size, shapes (c,)."""
 
-    threshold: float
+    threshold: FloatArray
     score: FloatArray
 
     def power(self, i: int, size: float) -> float:
         mean = abs(size) * float(self.score[i])
-        return float(special.ndtr(mean - self.threshold) + special.ndtr(-mean - self.threshold))
+        return float(special.ndtr(mean - self.threshold[i]) + special.ndtr(-mean - self.threshold[i]))
 
     def size(self, i: int, power: float) -> float:
-        needed = self.threshold + float(special.ndtri(power))
-        if two_sided_tail(self.threshold) >= power:
+        needed = float(self.threshold[i] + special.ndtri(power))
+        if two_sided_tail(self.threshold[i]) >= power:
             return 0.0
         return needed / float(self.score[i]) if self.score[i] > 0.0 else float("inf")
 
@@ -180,6 +181,7 @@ class Probe:
         self.shapes, self.onset_ns = tuple(shapes), first.t_ns
         self.E: FloatArray = np.zeros((first.F.shape[1], len(self.shapes)))
         self.num: FloatArray | None = None
+        self.apart: FloatArray = np.zeros((0, 0, len(self.shapes)))
         self.white: list[FloatArray] = []
         self.left: FloatArray = np.ones(len(self.shapes))
 
@@ -207,6 +209,8 @@ class Probe:
     def _seen(self, test: Test, white: FloatArray) -> Reach | None:
         if isinstance(test, MaximumTest):
             return self._bank(test, white)
+        if isinstance(test, CarriedTest):
+            return self._subfilters(test, white)
         if test.form is None:
             return None
         window = np.concatenate(self.white[-len(test.form.maps) :])
@@ -219,7 +223,19 @@ class Probe:
             self.num = np.zeros((int(test.source.max(initial=-1)) + 1, len(self.shapes)))
         self.num = test.carry(self.num, white)
         best = np.abs(self.num * np.sqrt(test.inverse)[:, None]).max(axis=0, initial=0.0)
-        return _Largest(float(np.sqrt(test.threshold)), best)
+        return _Largest(np.full(len(best), np.sqrt(test.threshold)), best)
+
+    def _subfilters(self, test: CarriedTest, white: FloatArray) -> Reach | None:
+        if not test.inverse.size:
+            return None
+        if not len(self.apart):  # before the onset all are where the filter is
+            self.apart = np.zeros((int(test.source.max()) + 1, test.carry.shape[2], len(self.shapes)))
+        self.apart = test.step(self.apart, white)
+        ratios = test.ratios(self.apart)
+        best = ratios.reshape(-1, ratios.shape[2])
+        at = best.argmax(axis=0)
+        allowed = np.tile(test.deviations, len(ratios))[at]
+        return _Largest(allowed, np.take_along_axis(best, at[None], axis=0)[0] * allowed)
 
 
 def _reach(test: QuadraticTest, mean: FloatArray) -> Reach:

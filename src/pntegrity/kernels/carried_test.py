@@ -30,6 +30,8 @@ class CarriedTest:
         Directions that are tested.
     inverse : ndarray, shape (M, d)
         One over what is allowed, 0 where nothing is tested.
+    deviations : ndarray, shape (d,)
+        How many standard deviations are allowed.
     threshold, p_fa : float
         Of the largest, and the false-alarm probability that it stands for.
     overlap : int
@@ -43,6 +45,7 @@ class CarriedTest:
     response: FloatArray
     axes: FloatArray
     inverse: FloatArray
+    deviations: FloatArray
     threshold: float = float("inf")
     p_fa: float = 0.0
     overlap: int = 1
@@ -51,8 +54,8 @@ class CarriedTest:
     @staticmethod
     def impossible(reason: str) -> CarriedTest:
         """Return the test of an epoch without rows."""
-        none = np.zeros((0, 0))
-        return CarriedTest(np.zeros(0, np.intp), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)), none, none, reason=reason)
+        none, nobody = np.zeros((0, 0)), np.zeros((0, 0, 0))
+        return CarriedTest(np.zeros(0, np.intp), nobody, nobody, none, none, np.zeros(0), reason=reason)
 
     @property
     def nbytes(self) -> int:
@@ -68,5 +71,8 @@ class CarriedTest:
 
     def statistic(self, apart: FloatArray) -> FloatArray:
         """Return the largest difference over what is allowed, shape (runs,)."""
-        ratio = np.abs(self.axes @ apart) * self.inverse[:, :, None]
-        return np.asarray(ratio.max(axis=(0, 1)))
+        return np.asarray(self.ratios(apart).max(axis=(0, 1)))
+
+    def ratios(self, apart: FloatArray) -> FloatArray:
+        """Return each difference over what is allowed, shape (M, d, runs)."""
+        return np.asarray(np.abs(self.axes @ apart) * self.inverse[:, :, None])

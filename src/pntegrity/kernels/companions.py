@@ -99,4 +99,6 @@ def _with_columns(beside: Companions, keys: list[str]) -> Companions:
     """Return it with columns for rows that have a bias for the first time."""
     new = tuple(k for k in keys if k not in beside.keys)
     more = np.zeros((*beside.bias.shape[:2], len(new)))
-    return Companions(beside.keys + new, np.concatenate([beside.bias, more], axis=2), beside.own, beside.shared)
+    return Companions(
+        beside.keys + new, np.concatenate([beside.bias, more], axis=2), beside.own, beside.shared
+    )

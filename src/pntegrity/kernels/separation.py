@@ -1,8 +1,9 @@
-"""A bank of subfilters beside a Kalman filter: each does without some rows, since ever, on the same F, Q, H, R.
+"""A bank of subfilters beside a Kalman filter: each does without some rows, since ever, on the same F, Q, H,
+R.
 
 Member `i` is held as ``delta_i = x_i - x_0``, its difference from the filter, and its covariance ``P_i``. Its
-innovation is ``nu - H delta'_i``, so nothing but updates is needed. Rows are used a few at a time where `R` is
-diagonal. Member 0 uses all rows and is the filter again, with the same rounding as the others, so that
+innovation is ``nu - H delta'_i``, so nothing but updates is needed. Rows are used a few at a time where `R`
+is diagonal. Member 0 uses all rows and is the filter again, with the same rounding as the others, so that
 ``x_i - x_0`` and ``P_i - P_0`` are exact even where they are small.
 
 A state that no row of a member has ever touched is idle in it: independent of all others, with the variance

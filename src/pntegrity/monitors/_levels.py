@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from pntegrity.records import Bound, FloatArray
 
 __all__ = ["Spread", "bound_of", "factors", "shares"]
 
+Value = TypeVar("Value")
 #: Share of a variance below which a difference of two is rounding.
 ROUNDING = 1e-9
 #: A position whose variance is still this share of what it was born with is not determined.
@@ -80,7 +82,7 @@ class Spread:
     def testable(self, rows: slice) -> npt.NDArray[np.bool_]:
         """Return where a separation can be told from rounding."""
         s = self.separation[rows]
-        return np.isfinite(s) & (s > ROUNDING * self.variance[0])
+        return np.asarray(np.isfinite(s) & (s > ROUNDING * self.variance[0]))
 
 
 def _undetermined(axes: FloatArray, P: FloatArray, born: float) -> npt.NDArray[np.bool_]:
@@ -135,11 +137,16 @@ def bound_of(spread: Spread, cast: Cast, ism: Ism, threshold: FloatArray, since_
             least.append(least_level(share * risk, sigma[0, q], p, ss, threshold[:, q]))
             worst = dominant_mode(level, sigma[0, q], bias[0, q], *facts)
             names.append(faults.monitored[worst].name if worst >= 0 else "")
-    track = levels[3:] if len(levels) > 3 else [None, None]
+    along, cross = levels[3:] if len(levels) > 3 else (None, None)
     return Bound(
-        *levels[:3], tuple(sigma[0, :3].tolist()), track[0], track[1], tuple(names), tuple(least),
-        len(p), faults.unmonitored, since_ns, _reason(levels[:3], names, sigma, faults.reason),
+        levels[0], levels[1], levels[2], _three(sigma[0].tolist()), along, cross, _three(names),
+        _three(least), len(p), faults.unmonitored, since_ns,
+        _reason(levels[:3], names, sigma, faults.reason),
     )  # fmt: skip
+
+
+def _three(values: list[Value]) -> tuple[Value, Value, Value]:
+    return values[0], values[1], values[2]
 
 
 def _reason(levels: list[float], names: list[str], sigma: FloatArray, reason: str) -> str:

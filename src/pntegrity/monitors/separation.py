@@ -14,9 +14,9 @@ from pntegrity.kernels.carried_test import CarriedTest
 from pntegrity.kernels.companions import Companions, accompany
 from pntegrity.kernels.separation import Subfilters, advance, gains, predicted, replicate
 from pntegrity.monitors._levels import Spread, bound_of, factors
-from pntegrity.monitors._suspects import suspects_of
 from pntegrity.monitors._members import Cast, Member, cast_of, in_order, sources, used_rows
 from pntegrity.monitors._options import check_test
+from pntegrity.monitors._suspects import suspects_of
 from pntegrity.monitors._window import no_redundancy, unavailable
 from pntegrity.records import FloatArray, Layout, State, Update, Verdict
 
@@ -38,7 +38,7 @@ class SeparationMemory:
     """
 
     t_ns: int = 0
-    layout: Layout = Layout()
+    layout: Layout = field(default_factory=Layout)
     members: tuple[Member, ...] = ()
     bank: Subfilters | None = None
     groups: tuple[str, ...] = ()
@@ -161,11 +161,13 @@ class Separation:
         axes = np.zeros((3, len(update.prior)))
         axes[:, position] = local_axes(after.where_m)
         inverse = np.zeros((len(cast.members), 3))
-        inverse[1 : 1 + len(allowed)] = np.divide(1.0, allowed, out=np.zeros_like(allowed), where=allowed > 0.0)
+        inverse[1 : 1 + len(allowed)] = np.divide(
+            1.0, allowed, out=np.zeros_like(allowed), where=allowed > 0.0
+        )
         test = CarriedTest(
             step.source, (np.eye(len(prior[0])) - K @ update.H) @ step.F, (K - update.K) @ update.L, axes,
-            inverse, self.factor, self.p_fa, 1 + round((update.t_ns - step.since_ns) * 1e-9),
-            "" if inverse.any() else NO_MODES,
+            inverse, alone._factors(spread, cast), self.factor, self.p_fa,
+            1 + round((update.t_ns - step.since_ns) * 1e-9), "" if inverse.any() else NO_MODES,
         )  # fmt: skip
         after = replace(after, groups=_remembered(after.groups, update, cast, spread))
         return test, after
@@ -259,9 +261,7 @@ class Separation:
         suspects = suspects_of(spread, cast, update, self._factors(spread, cast), with_pairs)
         ambiguous = with_pairs and len(suspects) > 1 and suspects[1].statistic <= 1.0
         none = None if self.variant == "published" else bound
-        return Verdict(
-            self.name, self.variant, update.t_ns, "alert", *facts, suspects, ambiguous, bound=none
-        )
+        return Verdict(self.name, self.variant, update.t_ns, "alert", *facts, suspects, ambiguous, bound=none)
 
     def _factors(self, spread: Spread, cast: Cast) -> FloatArray:
         """Return the factor of the standard deviation in each direction."""

@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.physics.atmosphere_products import metres_per_tecu
+from pntegrity.physics.signals import frequency_hz
 from pntegrity.physics.time import SECOND_NS
 from pntegrity.records import FloatArray
 from pntegrity.states import frozen
@@ -20,8 +22,6 @@ __all__ = [
 
 MAX_CORRECTION_AGE_S = 60.0
 """Older corrections are not used: those of clocks come every 5 s, of orbits and biases every 30 s."""
-QUALITY_M_PER_TECU = 0.162372
-"""Delay of code on L1 by 1 TECU: quality indicators of slant content are coded as metres on L1."""
 CHANNELS = frozenset("CBQILSP")
 """Attributes of a signal that is one channel (data or pilot) of what a service calls ``X``."""
 Kind = Literal["code", "phase"]
@@ -37,7 +37,7 @@ def quality_tecu(quality_m: npt.ArrayLike) -> FloatArray:
     would be six times less: about the 0.05 TECU by which slant contents drift from a receiver's carriers
     within minutes, without their constant errors.
     """
-    return np.asarray(quality_m, dtype=np.float64) / QUALITY_M_PER_TECU
+    return np.asarray(quality_m, dtype=np.float64) / metres_per_tecu(frequency_hz("G", "1C"))
 
 
 @dataclass(frozen=True, eq=False)

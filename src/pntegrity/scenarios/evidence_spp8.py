@@ -188,7 +188,7 @@ def _first_alarms(planned: Sequence[Planned], white: FloatArray) -> tuple[IntArr
             num = p.test.carry(num, white[k])
             explained = num * num * p.test.inverse[:, None]
             statistic = explained.max(axis=0, initial=0.0)
-        elif k >= SETTLED:
+        elif isinstance(p.test, QuadraticTest) and k >= SETTLED:
             statistic = _square(p.test, white[: k + 1])
         if k < SETTLED:
             continue
