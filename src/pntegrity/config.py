@@ -21,6 +21,7 @@ from pntegrity.simulate.faults import parse_fault
 
 __all__ = [
     "RunConfig",
+    "has_option",
     "load_toml",
     "make_config",
     "make_monitor",
@@ -161,16 +162,16 @@ class RunConfig(BaseModel):
         return tuple(
             make_monitor(
                 n,
-                p_fa or (ism.p_fa if _has(n, "ism") else self.p_fa),
+                p_fa or (ism.p_fa if has_option(n, "ism") else self.p_fa),
                 self.variant,
                 model,
-                ({"ism": ism} if _has(n, "ism") else {}) | usual.get(n, {}) | self.monitor.get(n, {}),
+                ({"ism": ism} if has_option(n, "ism") else {}) | usual.get(n, {}) | self.monitor.get(n, {}),
             )
             for n in self.monitors
         )
 
 
-def _has(monitor: str, option: str) -> bool:
+def has_option(monitor: str, option: str) -> bool:
     """Tell whether a monitor has an option."""
     return option in (f.name for f in fields(discover()[monitor]))
 

@@ -13,7 +13,7 @@ from pntegrity.estimators._gnss import GnssOptions, track
 from pntegrity.formats.clas_l6 import corrections_for
 from pntegrity.formats.products import ProductFiles, read_products
 from pntegrity.formats.rinex_nav import read_navigation
-from pntegrity.physics.atmosphere_products import AtmosphereProducts, with_products
+from pntegrity.physics.atmosphere_products import AtmosphereProducts, origin, with_products
 from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
 from pntegrity.physics.precise_epochs import precise_epochs
 from pntegrity.physics.ssr_log import CLAS_SIGNALS, clas_inputs
@@ -67,7 +67,7 @@ def precise_log(
 def with_atmosphere(loaded: GnssEpochs, products: AtmosphereProducts) -> GnssEpochs:
     """Return epochs with what is known of the atmosphere at their times."""
     epochs, notes = with_products(loaded.epochs, products)
-    return replace(loaded, epochs=tuple(epochs), notes=(*loaded.notes, *notes))
+    return replace(loaded, epochs=tuple(epochs), notes=(*loaded.notes, *notes), products=origin(products))
 
 
 def clas_log(

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pntegrity.config import make_monitor, noise_of, read_noise
+from pntegrity.bounds.ism import Ism
+from pntegrity.config import has_option, make_monitor, noise_of, read_ism, read_noise
 from pntegrity.errors import InputError
 from pntegrity.formats.atomic import atomically
 from pntegrity.formats.update_record import read_record
@@ -20,8 +21,11 @@ if TYPE_CHECKING:
 __all__ = ["monitored", "named_monitors", "replay", "replay_table", "write_verdicts"]
 
 
-def named_monitors(names: str, p_fa: float, variant: str, noise: Path | None) -> tuple[Monitor, ...]:
-    """Return monitors from comma-separated names.
+def named_monitors(
+    names: str, p_fa: float, variant: str, noise: Path | None, ism: Path | None = None
+) -> tuple[Monitor, ...]:
+    """Return monitors from comma-separated names; those with protection levels get the integrity support
+    message.
 
     Raises
     ------
@@ -40,7 +44,8 @@ def named_monitors(names: str, p_fa: float, variant: str, noise: Path | None) ->
             )
         if not 0.0 < p_fa < 0.5:
             raise InputError(f"--p-fa {p_fa} is not a probability between 0 and 0.5")
-        out.append(make_monitor(name, p_fa, variant, model))
+        options = {"ism": Ism.from_table(read_ism(ism))} if ism and has_option(name, "ism") else {}
+        out.append(make_monitor(name, p_fa, variant, model, options))
     if not out:
         raise InputError("no monitor was named", hint=f"There are {', '.join(sorted(discover()))}")
     return tuple(out)

@@ -67,7 +67,7 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
         loaded = with_atmosphere(loaded, read_atmosphere(config.atmosphere))
     faults = [parse_fault(text) for text in config.faults]
     epochs = _with_faults(loaded.epochs, faults)
-    return GnssEpochs(tuple(epochs), table.notes + loaded.notes, loaded.klobuchar)
+    return replace(loaded, epochs=tuple(epochs), notes=table.notes + loaded.notes)
 
 
 def _broadcast(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
@@ -192,6 +192,7 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
         config=config.model_dump(mode="json"),
         noise_name=noise.name,
         blind_spots=blind_spots(config.estimator, noise, config.motion, config.build_monitors()),
+        products=loaded.products,
         protection=config.ism_model().to_table() if "separation" in config.monitors else {},
         truth_m=_truth(config, [o.t_ns for o in outcomes]),
         notes=loaded.notes,

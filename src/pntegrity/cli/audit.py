@@ -12,7 +12,7 @@ import click
     help="Audit a monitor on the geometry of a recorded run (updates.npz): P_FA, and what it would see.",
 )
 @click.argument("record", type=click.Path(path_type=Path))
-@click.option("--monitor", "name", required=True, help="rctm, srctm, aime, sraime or glr.")
+@click.option("--monitor", "name", required=True, help="rctm, srctm, aime, sraime, glr or separation.")
 @click.option("--variant", type=click.Choice(["exact", "published"]), default="exact", show_default=True)
 @click.option(
     "--p-fa", type=float, default=1e-3, show_default=True, help="Probability of a false alarm, an epoch."
@@ -45,11 +45,12 @@ import click
     show_default=True,
     help="Onsets spread over the record; 0: none.",
 )
+@click.option("--ism", type=click.Path(path_type=Path), help="Integrity support message, for separation.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the Monte Carlo.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
     record: Path, name: str, variant: str, p_fa: float, tests: int, power: float, delays: tuple[float, ...],
-    onsets: int,
+    onsets: int, ism: Path | None,
     seed: int, as_json: bool,
 ) -> int:  # fmt: skip
     """Audit a monitor."""
@@ -64,7 +65,7 @@ def command(
     from pntegrity.formats.update_record import read_record
     from pntegrity.replay import named_monitors
 
-    (monitor,) = named_monitors(name, p_fa, variant, None) if "," not in name else (None,)
+    (monitor,) = named_monitors(name, p_fa, variant, None, ism) if "," not in name else (None,)
     if monitor is None:
         raise InputError(f"--monitor takes one name, not {name!r}")
     if not isinstance(monitor, Planner):

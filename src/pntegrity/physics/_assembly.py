@@ -32,11 +32,14 @@ class GnssEpochs:
         What was left out over the whole log, counted.
     klobuchar : Klobuchar or None
         Ionosphere coefficients of the navigation files.
+    products : tuple of str
+        Where products of the atmosphere come from, in words.
     """
 
     epochs: tuple[Epoch, ...]
     notes: tuple[str, ...]
     klobuchar: Klobuchar | None
+    products: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ __all__ = [
     "Samples",
     "Valid",
     "metres_per_tecu",
+    "origin",
     "with_products",
 ]
 
@@ -229,14 +230,15 @@ def with_products(
         out[i] = _with(epochs[i], o)
     bare = sum(o is None for o in found)
     told += [f"no product of the atmosphere at all: {bare} of {len(code)} epochs"] if bare else []
-    return out, (*_origin(products), *products.notes, *told, *also_told)
+    return out, (*origin(products), *products.notes, *told, *also_told)
 
 
-def _origin(products: AtmosphereProducts) -> list[str]:
+def origin(products: AtmosphereProducts) -> tuple[str, ...]:
+    """Say where products come from, and whether they are self-derived."""
     if products.self_derived:
         whose = "made of a receiver's own data: where it is the same, they share its noise and multipath"
-        return [f"products of the atmosphere: {products.source or 'unknown source'}, {whose}"]
-    return [f"products of the atmosphere: {products.source}"] if products.source else []
+        return (f"products of the atmosphere: {products.source or 'unknown source'}, {whose}",)
+    return (f"products of the atmosphere: {products.source}",) if products.source else ()
 
 
 def _with(epoch: Epoch, o: Observation | None) -> Epoch:

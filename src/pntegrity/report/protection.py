@@ -183,6 +183,8 @@ def protection(outcomes: Sequence[Outcome], table: pl.DataFrame, facts: RunFacts
                      frequent first
     monitored        most fault modes that were monitored at an epoch
     unmonitored      largest probability of all others
+    false_alerts_per_hour largest number that the probability of a false alert an epoch amounts to, at the
+                     run's interval, were its epochs independent; null where not stated
     risk_per_epoch   share of the integrity risk that one epoch gets; null where not stated
     promise          what the levels assume, as the run was told
     ================ ======================================================================================
@@ -206,9 +208,17 @@ def protection(outcomes: Sequence[Outcome], table: pl.DataFrame, facts: RunFacts
         "modes": _modes(bounds),
         "monitored": max((b.modes for b in given), default=0),
         "unmonitored": plain(max((b.unmonitored for b in given), default=0.0)),
+        "false_alerts_per_hour": _false_alerts_per_hour(outcomes, facts.protection),
         "risk_per_epoch": _risk_per_epoch(facts.protection),
         "promise": plain(facts.protection),
     }
+
+
+def _false_alerts_per_hour(outcomes: Sequence[Outcome], told: Mapping[str, Any]) -> float | None:
+    times = np.array([o.t_ns for o in outcomes], dtype=np.int64)
+    if len(times) < 2 or "p_fa" not in told:
+        return None
+    return float(told["p_fa"]) * 3600e9 / float(np.median(np.diff(times)))
 
 
 def plain(value: Any) -> Any:

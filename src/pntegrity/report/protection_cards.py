@@ -170,7 +170,7 @@ def _budget(told: dict[str, Any], p: Mapping[str, Any]) -> list[Row]:
         rows.append(_three("an epoch east, north, up", shares, "before what is not monitored comes off"))
     rate = _number(told, "p_fa")
     if rate is not None:
-        rows.append(("False alerts, an epoch", f"{rate:.3g}", _per_hour(rate, epochs, told)))
+        rows.append(("False alerts, an epoch", f"{rate:.3g}", _per_hour(p)))
     if rate is not None and "fa_split" in told:
         rows.append(_three("of them east, north, up", [float(s) * rate for s in told["fa_split"]], ""))
     for name in ("p_hmi", "split", "p_fa", "fa_split", "unmonitored_share", "independent_epochs"):
@@ -182,11 +182,10 @@ def _three(name: str, values: Sequence[float], note: str) -> Row:
     return name, ", ".join(f"{v:.2g}" for v in values), note
 
 
-def _per_hour(rate: float, epochs: float, told: Mapping[str, Any]) -> str:
-    seconds = _number(told, "exposure_s")
-    if not seconds or epochs == 1.0:
-        return "by chance, without a fault"
-    return f"by chance, without a fault: {rate * epochs * 3600.0 / seconds:.2g} an hour"
+def _per_hour(p: Mapping[str, Any]) -> str:
+    most = p["false_alerts_per_hour"]
+    rate = f": at most {most:.2g} an hour" if most is not None else ""
+    return f"by chance, without a fault{rate}"
 
 
 FAULTS = {
