@@ -6,10 +6,12 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.stages import Stage, audit_stages, log_stages, monitor_variants
 from pntegrity.estimators import discover
+from pntegrity.scenarios.evidence_rtk_speed import SINGLES, WARM_PAIRS, bank_load
 
 pytestmark = pytest.mark.benchmark(timer=time.process_time, warmup=True, min_rounds=3)
 
@@ -64,3 +66,19 @@ def test_audit_rate(benchmark: Any, noted: Any, name: str) -> None:
     each = benchmark.stats.stats.min / stage.units
     benchmark.extra_info["tests_a_cpu_second"] = 1.0 / each
     noted("audit", f"{name}: {1.0 / each:.3g} epoch-tests a CPU second", each)
+
+
+BANKS = {"20 subfilters": SINGLES, "20 subfilters and 136 pairs": SINGLES + WARM_PAIRS}
+
+
+@pytest.mark.parametrize("own", [3, 4])
+@pytest.mark.parametrize("name", BANKS)
+def test_bank(benchmark: Any, noted: Any, name: str, own: int) -> None:
+    load = bank_load(BANKS[name], own, np.random.default_rng(4))
+    benchmark.group = "bank"
+    benchmark.pedantic(load.advanced, rounds=10, warmup_rounds=1)
+    if benchmark.stats is None:
+        return
+    each = benchmark.stats.stats.min
+    benchmark.extra_info["ms_an_epoch"] = each * 1e3
+    noted("bank", f"{name}, {load.size}: {each * 1e3:.2f} ms an epoch", each)

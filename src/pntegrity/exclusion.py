@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pntegrity.kernels.linear import whiten
-from pntegrity.kernels.signatures import is_rate
+from pntegrity.kernels.signatures import is_carrier, is_rate
 from pntegrity.kernels.subsets import search
 from pntegrity.kernels.tails import chi2_threshold
-from pntegrity.records import Suspect, Update, Verdict, group_of
-from pntegrity.states import is_left_out
+from pntegrity.records import FloatArray, Suspect, Update, Verdict, group_of
+from pntegrity.states import ANEW, is_left_out
 
 #: First parts of the names of the states that all rows of an epoch share.
 COMMON = ("pos", "vel", "clk", "drift")
@@ -21,9 +21,21 @@ COMMON = ("pos", "vel", "clk", "drift")
 MARGIN = 9.0
 #: Kind of the suspects of a monitor that carries subfilters: the filter goes over to theirs.
 SEPARATION = "separation"
+#: Share of what was learnt of a fault's persistence that is kept from epoch to epoch.
+FORGETTING = 0.9
 TOO_FEW = "too few measurements would be left"
 
-__all__ = ["SEPARATION", "Decision", "Exclusion", "Policy", "Standing", "decide", "dynamics_failed", "review"]
+__all__ = [
+    "SEPARATION",
+    "Decision",
+    "Exclusion",
+    "Policy",
+    "Standing",
+    "decide",
+    "dynamics_failed",
+    "left_out",
+    "review",
+]
 
 
 @dataclass(frozen=True)
@@ -80,6 +92,15 @@ class Standing:
         When it was excluded (the onset of its fault), when it was last in view.
     clean_ns : int or None
         Since when its residuals have been small.
+    level_ns : int or None
+        Since when those but of its carriers have been: a fault may be over and have left them another cycle.
+    anew : bool
+        Whether its ambiguities shall begin anew at the next epoch, and prove themselves.
+    rows : tuple of (str, float)
+        By how much its rows were off when it was excluded.
+    gain : float
+        Twice the log-likelihood of those residuals against none, summed over the proof: above 0 the fault is
+        still there, as far as anyone can tell.
     times : int
         How often it was excluded before, this one included.
     """
@@ -88,13 +109,18 @@ class Standing:
     seen_ns: int
     clean_ns: int | None = None
     times: int = 1
+    level_ns: int | None = None
+    anew: bool = False
+    rows: tuple[tuple[str, float], ...] = ()
+    gain: float = 0.0
 
 
 @dataclass(frozen=True)
 class Exclusion:
     """One exclusion as reported: who, by which test, how large, since when.
 
-    `switch`: the filter goes over to the subfilter that never knew the group.
+    `switch`: the filter goes over to the subfilter that never knew the group. `rows`: by how much each of its
+    rows was off, where that is known.
     """
 
     t_ns: int
@@ -106,6 +132,7 @@ class Exclusion:
     onset_ns: int
     ambiguous: bool = False
     switch: bool = False
+    rows: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -152,15 +179,19 @@ def _is_separation(verdict: Verdict) -> bool:
 
 def _from_subfilters(update: Update, verdict: Verdict, policy: Policy) -> Decision:
     """Return the suspect whose subfilter contradicts the others' least; where it fails its own tests, several
-    may be at fault at once, which this epoch's innovations show. Where they name the same they tell the size.
+    may be at fault at once, which this epoch's innovations show. Where these name a suspect that passes, it
+    is that one, as both kinds of evidence agree, and they tell the size.
     """
-    suspect = verdict.suspects[0]
     found = _from_subsets(update, policy)
-    same = {e.group for e in found.exclusions} == set(suspect.groups)
+    named = {e.group for e in found.exclusions}
+    passing = (s for s in verdict.suspects if s.statistic <= 1.0 and set(s.groups) == named)
+    suspect = next(passing, verdict.suspects[0])
+    same = named == set(suspect.groups)
     if not (found.exclusions and (same or suspect.statistic > 1.0)):
         others = tuple(s.groups for s in verdict.suspects[1:]) if verdict.ambiguous else ()
         found = replace(_from_suspect(update, verdict, suspect, policy), alternatives=others)
-    return replace(found, exclusions=tuple(replace(e, switch=True) for e in found.exclusions))
+    exclusions = tuple(replace(e, switch=True, rows=_row_biases(update, e.group)) for e in found.exclusions)
+    return replace(found, exclusions=exclusions)
 
 
 def dynamics_failed(update: Update, p_fa: float, block: tuple[str, ...] = COMMON) -> bool:
@@ -255,14 +286,23 @@ def _from_subsets(update: Update, policy: Policy) -> Decision:
     return Decision(exclusions, update.t_ns, alternatives=others)
 
 
+def _biases(update: Update, rows: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """Return the biases of rows, all estimated together, ``(V_JJ)^-1 z_J``, and their covariance."""
+    columns = np.linalg.solve(update.S, np.eye(len(update.keys))[:, rows])
+    spread = np.linalg.pinv(columns[rows], hermitian=True)
+    return spread @ columns.T @ update.nu, spread
+
+
+def _row_biases(update: Update, group: str) -> tuple[tuple[str, float], ...]:
+    rows = update.groups().get(group)
+    if rows is None:
+        return ()
+    return tuple(zip((update.keys[i] for i in rows), _biases(update, rows)[0].tolist(), strict=True))
+
+
 def _sizes(update: Update, rows: list[npt.NDArray[np.intp]]) -> list[float]:
-    """Return the bias of each group's most significant row, all rows of these groups estimated together:
-    ``(V_JJ)^-1 z_J``.
-    """
-    together = np.concatenate(rows)
-    columns = np.linalg.solve(update.S, np.eye(len(update.keys))[:, together])
-    spread = np.linalg.pinv(columns[together], hermitian=True)
-    bias = spread @ columns.T @ update.nu
+    """Return the bias of each group's most significant row, all rows of these groups estimated together."""
+    bias, spread = _biases(update, np.concatenate(rows))
     size = np.abs(bias) / np.sqrt(np.maximum(np.diagonal(spread), 1e-30))
     ends = np.cumsum([len(r) for r in rows])
     return [
@@ -284,28 +324,62 @@ def review(
     """
     out = {}
     for group, s in standing.items():
-        residual = _worst_residual(update, group)
-        now = _reviewed(s, update.t_ns, residual, group in present, policy, step_s)
+        now = _reviewed(s, update, group, group in present, policy, step_s)
         if now is not None:
             out[group] = now
     return out
 
 
-def _worst_residual(update: Update, group: str) -> float | None:
-    """Return the largest residual of a group that is left out, products about it included, in sigmas."""
+def left_out(standing: Mapping[str, Standing]) -> frozenset[str]:
+    """Return what an estimator is told to leave out: groups, and those whose ambiguities begin anew."""
+    return frozenset(standing) | {g + ANEW for g, s in standing.items() if s.anew}
+
+
+def _misfits(update: Update, group: str) -> tuple[float, float] | None:
+    """Return how far a group that is left out is off, products about it included, in sigmas: all its rows
+    together, and all but its carriers; None where it has none.
+    """
     out = frozenset([group])
-    rows = zip(update.spare_keys, update.spare_nu.tolist(), update.spare_var.tolist(), strict=True)
-    return max((abs(nu) / var**0.5 for key, nu, var in rows if is_left_out(key, out)), default=None)
+    rows = [i for i, key in enumerate(update.spare_keys) if is_left_out(key, out)]
+    if not rows:
+        return None
+    levels = [i for i in rows if not is_carrier(update.spare_keys[i])]
+    whole = update.misfit(np.array(rows, dtype=np.intp))
+    some = 0 < len(levels) < len(rows)
+    return whole, update.misfit(np.array(levels, dtype=np.intp)) if some else whole
 
 
 def _reviewed(
-    s: Standing, t_ns: int, residual: float | None, present: bool, policy: Policy, step_s: float
+    s: Standing, update: Update, group: str, present: bool, policy: Policy, step_s: float
 ) -> Standing | None:
-    if residual is None:
+    t_ns, found = update.t_ns, _misfits(update, group)
+    gain = _gain(s, update, group)
+    if found is None:
         gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
-        return None if gone else replace(s, clean_ns=None, seen_ns=t_ns if present else s.seen_ns)
-    if residual > policy.proof_sigma:
-        return replace(s, seen_ns=t_ns, clean_ns=None)
-    clean = t_ns if s.clean_ns is None else s.clean_ns
+        seen_ns = t_ns if present else s.seen_ns
+        return None if gone else replace(s, clean_ns=None, level_ns=None, anew=False, seen_ns=seen_ns)
+    whole, level = found
     needed = max(policy.proof_s, policy.proof_epochs * step_s) * 2.0 ** (min(s.times, 5) - 1)
-    return None if (t_ns - clean) * 1e-9 >= needed else replace(s, seen_ns=t_ns, clean_ns=clean)
+    since = s.level_ns if s.level_ns is not None else t_ns
+    level_ns = since if level <= policy.proof_sigma else None
+    if whole > policy.proof_sigma:
+        anew = level_ns is not None and (t_ns - level_ns) * 1e-9 >= needed
+        anew = anew and gain <= 0.0
+        level_ns = None if anew else level_ns
+        return replace(s, seen_ns=t_ns, clean_ns=None, level_ns=level_ns, anew=anew, gain=gain)
+    clean = t_ns if s.clean_ns is None else s.clean_ns
+    if (t_ns - clean) * 1e-9 >= needed and gain <= 0.0:
+        return None
+    return replace(s, seen_ns=t_ns, clean_ns=clean, level_ns=level_ns, anew=False, gain=gain)
+
+
+def _gain(s: Standing, update: Update, group: str) -> float:
+    """Return by how much the residuals favour the fault as it was to none, summed over the last epochs."""
+    size, out = dict(s.rows), frozenset([group])
+    told = [i for i, k in enumerate(update.spare_keys) if is_left_out(k, out) and not is_carrier(k)]
+    rows = np.array(told, dtype=np.intp)
+    fault = np.array([size.get(update.spare_keys[i], 0.0) for i in rows])
+    if not fault.any():
+        return 0.0
+    now = update.misfit_square(rows) - update.misfit_square(rows, fault)
+    return FORGETTING * s.gain + now

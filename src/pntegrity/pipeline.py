@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide, review
+from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide, left_out, review
 from pntegrity.protocols import Estimator, Monitor, Switching, memory_for
 from pntegrity.records import Epoch, State, Status, Update, Verdict, group_of, join_reasons
 
@@ -202,8 +202,8 @@ class Pipeline:
         the subfilter that never knew these groups, and nothing before can be repaired any more.
         """
         margin = {g: max(epoch.t_ns - onset, 0) // 4 for g, onset in since.items()}
-        left_out = {g: onset - margin[g] for g, onset in since.items()}
-        first_ns = min(left_out.values(), default=epoch.t_ns)
+        begins = {g: onset - margin[g] for g, onset in since.items()}
+        first_ns = min(begins.values(), default=epoch.t_ns)
         start = next((i for i, p in enumerate(now.history) if p.epoch.t_ns >= first_ns), len(now.history))
         again = now.history[start:]
         state = again[0].before if again else now.state
@@ -212,8 +212,8 @@ class Pipeline:
         verdicts: tuple[Verdict, ...] = ()
         past = [(p.epoch, p.excluded, p.relaxed) for p in again]
         state = self._without(now, state, switch) if not again else state
-        for e, already, free in [*past, (epoch, frozenset(now.standing), relaxed)]:
-            out = already | {g for g, t_ns in left_out.items() if e.t_ns >= t_ns}
+        for e, already, free in [*past, (epoch, left_out(now.standing), relaxed)]:
+            out = already | {g for g, t_ns in begins.items() if e.t_ns >= t_ns}
             prior = self.estimator.predict(state, e)
             update = self.estimator.correct(self.estimator.relax(prior) if free else prior, e, out)
             if switch and e is epoch and not again:
@@ -253,7 +253,7 @@ class Pipeline:
         standing = dict(now.standing)
         for e in made:
             counts[e.group] = counts.get(e.group, 0) + 1
-            standing[e.group] = Standing(e.onset_ns, epoch.t_ns, times=counts[e.group])
+            standing[e.group] = Standing(e.onset_ns, epoch.t_ns, times=counts[e.group], rows=e.rows)
         present = frozenset(group_of(k) for o in epoch.observations for k in o.keys)
         step_s = _step_s(now, epoch.t_ns)
         after = review(standing, update, present, self.policy, step_s)

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from pntegrity.kernels.linear import cholesky, correct_covariance, gain, whiten
 from pntegrity.kernels.sparse import sandwich
+from pntegrity.kernels.tails import deviation_of, joint_square
 from pntegrity.states import FloatArray, Layout, Prior, State, freeze, frozen, group_of
 from pntegrity.verdicts import Bound, Status, Suspect, Verdict, join_reasons
 
@@ -133,8 +134,9 @@ class Update:
         What happened, in words.
     reason : str
         Why there are no rows, where there are none.
-    spare_keys, spare_nu, spare_var
-        Rows that were left out: names, residuals against `posterior` and their variances.
+    spare_keys, spare_nu, spare_var, spare_cov
+        Rows that were left out: names, residuals against `posterior`, their variances, and with each other
+        their covariance, shape (k, k); None where only variances are known.
     aux : mapping of str to ndarray
         For reports only (elevation, azimuth, C/N0 a row).
     """
@@ -155,14 +157,16 @@ class Update:
     spare_keys: tuple[str, ...] = ()
     spare_nu: FloatArray = field(default_factory=lambda: np.zeros(0))
     spare_var: FloatArray = field(default_factory=lambda: np.zeros(0))
+    spare_cov: FloatArray | None = None
     switched: tuple[str, ...] = ()
     R_accuracy: FloatArray | None = None
     aux: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "nu", "H", "R", "F", "Q", "spare_nu", "spare_var")
-        if self.R_accuracy is not None:
-            freeze(self, "R_accuracy")
+        for name in ("R_accuracy", "spare_cov"):
+            if getattr(self, name) is not None:
+                freeze(self, name)
 
     @staticmethod
     def of(
@@ -297,21 +301,41 @@ class Update:
         for name in ("white", *GAINS):
             self.__dict__.pop(name, None)
 
-    def with_spares(
-        self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, variance: FloatArray
-    ) -> Update:
-        """Return the update with rows left out: residuals against the posterior, and their variances.
+    def with_spares(self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, R: FloatArray) -> Update:
+        """Return the update with rows left out: residuals against the posterior, and their covariance.
 
         Parameters
         ----------
         keys : tuple of str
-        nu, H, variance : ndarray
-            Innovations against the prior, Jacobian and measurement variances of the rows left out.
+        nu, H : ndarray, shapes (k,) and (k, n)
+            Innovations against the prior and Jacobian of the rows left out.
+        R : ndarray, shape (k,) or (k, k)
+            Measurement variances, or covariance.
         """
         step = self.posterior.mean - self.prior.mean
-        spread = variance + np.einsum("ij,jk,ik->i", H, self.posterior.P, H)
+        spread = sandwich(H, self.posterior.P) + (np.diag(R) if R.ndim == 1 else R)
         groups = tuple(dict.fromkeys(map(group_of, keys)))
-        return self.altered(spare_keys=keys, spare_nu=nu - H @ step, spare_var=spread, excluded=groups)
+        return self.altered(
+            spare_keys=keys, spare_nu=nu - H @ step, spare_var=np.diagonal(spread), spare_cov=spread,
+            excluded=groups,
+        )  # fmt: skip
+
+    def misfit(self, rows: npt.NDArray[np.intp]) -> float:
+        """Return how far rows left out are off together, in standard deviations of a normal as improbable.
+
+        Parameters
+        ----------
+        rows : ndarray of int
+            Which of `spare_keys`.
+        """
+        return deviation_of(self.misfit_square(rows), len(rows))
+
+    def misfit_square(self, rows: npt.NDArray[np.intp], expected: FloatArray | float = 0.0) -> float:
+        """Return the sum of squares of residuals of rows left out, less what was expected, whitened
+        together.
+        """
+        cov = np.diag(self.spare_var) if self.spare_cov is None else self.spare_cov
+        return joint_square(np.asarray(self.spare_nu[rows] - expected), cov[np.ix_(rows, rows)])
 
     def groups(self) -> dict[str, npt.NDArray[np.intp]]:
         """Return the rows of each group, in order of first appearance."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
-    "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out",
+    "ANEW", "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out",
     "rows_touched_by",
 ]  # fmt: skip
 
@@ -26,6 +26,10 @@ def group_of(key: str) -> str:
     ``"G05"``).
     """
     return key.partition(":")[0]
+
+
+ANEW = "~"
+"""Ends the name of a group in what is left out: its own ambiguities shall begin anew at this epoch."""
 
 
 def is_left_out(key: str, groups: frozenset[str]) -> bool:

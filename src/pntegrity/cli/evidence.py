@@ -9,6 +9,9 @@ import click
 NAMES = (
     "spp8", "clean", "delays", "faults", "receivers", "speed", "ppp", "ppp-clean", "ppp-drive", "ppp-van",
     "ppp-ramps", "ppp-faults", "ppp-speed", "sraime-spp", "sraime-ppp",
+    "rtk-cases", "rtk-risk", "ppp-rtk",
+    "rtk-speed",
+    "rtk-opec", "rtk-opec-faults", "rtk-clas", "rtk-clas-ramp",
 )  # fmt: skip
 
 

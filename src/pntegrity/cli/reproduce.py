@@ -8,7 +8,7 @@ import click
 
 
 @click.command("reproduce", help="Run a published experiment and show its figures beside the published ones.")
-@click.argument("experiment", type=click.Choice(["sraime-spp", "sraime-ppp"]))
+@click.argument("experiment", type=click.Choice(["sraime-spp", "sraime-ppp", "ppp-rtk"]))
 @click.option(
     "--json", "as_json", is_flag=True, help='Print {"rows": [{"quantity", "published", "measured", "ok"}]}.'
 )
@@ -16,17 +16,20 @@ import click
 @click.option(
     "--data",
     type=click.Path(path_type=Path),
-    help="Folder of the real logs: sraime-ppp then drives the real track under the real orbits.",
+    help="Folder of the real logs: sraime-ppp then drives the real track under the real orbits, "
+    "ppp-rtk has real orbits.",
 )
 def command(experiment: str, as_json: bool, seeds: int, data: Path | None) -> int:
     """Reproduce an experiment."""
     from threadpoolctl import threadpool_limits
 
-    from pntegrity.scenarios import reproduce_sraime_ppp, reproduce_sraime_spp
+    from pntegrity.scenarios import reproduce_ppp_rtk, reproduce_sraime_ppp, reproduce_sraime_spp
 
     with threadpool_limits(1, user_api="blas"):
         if experiment == "sraime-ppp":
             result = reproduce_sraime_ppp.reproduce(seeds, data=data)
+        elif experiment == "ppp-rtk":
+            result = reproduce_ppp_rtk.reproduce(seeds, data=data)
         else:
             result = reproduce_sraime_spp.reproduce(seeds)
     if as_json:

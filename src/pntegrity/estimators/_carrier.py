@@ -111,8 +111,9 @@ class PreciseRows:
     """Code rows, then carrier rows, then rows of atmosphere products; all of shape (n,) or (n, 3).
 
     `predicted` is what the row would read with perfect clocks, no wet delay and no ambiguity. `wet` is the
-    wet mapping factor; `north` and `east` are those of its gradients. `sigma_m` is the white noise, `slow`
-    says how much larger than at the zenith slow code errors are (of a product: the standard deviation of its
+    wet mapping factor; `north` and `east` are those of its gradients. `sigma_m` is the noise of one epoch,
+    `inflation` the factor of its variance that makes up for its correlation with epochs before, `slow` says
+    how much larger than at the zenith slow code errors are (of a product: the standard deviation of its
     slow error), `node_s` (n, 2) how long ago the last sample of the satellite's clock is and how far ahead
     the next. `iono` is what a metre of the satellite's slant delay adds to the row. `names.ambiguity` names
     the state of a carrier's arc and is empty for all others.
@@ -126,6 +127,7 @@ class PreciseRows:
     north: FloatArray
     east: FloatArray
     sigma_m: FloatArray
+    inflation: FloatArray
     slow: FloatArray
     node_s: FloatArray
     iono: FloatArray
@@ -183,7 +185,7 @@ def precise_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) -> 
             noise.code_white_m * scale * noise.code_factor(code.keys),
             noise.carrier_m * scale[of_code] * noise.carrier_factor(code.keys)[of_code],
         ]),
-        (noise.obliquity(el) * noise.bias_factor(code.keys))[both], nodes_s(code)[both],
+        np.ones(len(both)), (noise.obliquity(el) * noise.bias_factor(code.keys))[both], nodes_s(code)[both],
         np.zeros(len(both)), el[both], az[both], cn0[both],
     )  # fmt: skip
     return rows.select(rows.el_rad >= options.mask_rad)

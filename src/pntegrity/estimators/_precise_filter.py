@@ -25,6 +25,7 @@ from pntegrity.kernels.sparse import sandwich
 from pntegrity.physics.atmosphere import zenith_delays_m
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.states import ANEW
 
 __all__ = ["PreciseFilter"]
 
@@ -149,7 +150,7 @@ def _inflated(rows: PreciseRows, old: Layout, dt: float, noise: NoiseModel) -> P
     if not noise.correlated_part:
         return rows
     grown = _seen_before(rows.names, old)
-    return replace(rows, sigma_m=rows.sigma_m * np.where(grown, np.sqrt(noise.inflation(dt)), 1.0))
+    return replace(rows, inflation=np.where(grown, noise.inflation(dt), 1.0))
 
 
 @lru_cache(maxsize=64)
@@ -195,10 +196,11 @@ def _update(
     Where none is used nobody is at fault: ambiguities stay what they are, and there are no spare rows.
     """
     left_out = ~used & used.any()
-    variance = _white_variance(prior.state.layout, rows, noise)
+    once = _white_variance(prior.state.layout, rows, noise)
+    variance = once + (rows.inflation - 1.0) * rows.sigma_m**2
     if left_out.any():
         prior = _without(prior, rows, exclude)
-    prior, rows = _marked(prior, rows, left_out, variance)
+    prior, rows = _marked(prior, rows, left_out, once, exclude)
     H = jacobian(prior.state.layout, rows)
     nu = rows.y - rows.predicted - H[:, 3:] @ prior.state.mean[3:]
     aux = {name: getattr(rows, name)[used] for name in ("el_rad", "az_rad", "cn0_dbhz")}
@@ -207,7 +209,7 @@ def _update(
     if not left_out.any():
         return update
     spare = rows.select(left_out)
-    update = update.with_spares(spare.keys, *_levelled(spare, used, rows, nu, H, variance))
+    update = update.with_spares(spare.keys, *_levelled(spare, used, rows, nu, H, once))
     groups = dict.fromkeys(g for g in spare.names.groups if g in exclude)
     return update.altered(excluded=tuple(groups))
 
@@ -215,13 +217,13 @@ def _update(
 def _levelled(
     spare: PreciseRows, used: Mask, rows: PreciseRows, nu: FloatArray, H: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return innovations, Jacobian and variances of the rows left out, ready for their residuals.
+    """Return innovations, Jacobian and covariance of the rows left out, ready for their residuals.
 
-    Where all ionosphere products of a constellation are left out nothing tells what they share: their mean is
-    taken off.
+    A residual is of one epoch: its variance is not inflated. Where all ionosphere products of a constellation
+    are left out nothing tells what they share: their mean is taken off.
     """
     out = ~used
-    nu, H, variance = nu[out], H[out], variance[out]
+    nu, H, R = nu[out], H[out], np.diag(variance[out])
     told = {o for o, u in zip(rows.names.offset, used, strict=True) if u}
     for offset in set(spare.names.offset) - told - {""}:
         own = np.array([o == offset for o in spare.names.offset], dtype=bool)
@@ -229,8 +231,8 @@ def _levelled(
         if n > 1:
             level = np.eye(n) - 1.0 / n
             nu[own], H[own] = level @ nu[own], level @ H[own]
-            variance[own] = level**2 @ variance[own]
-    return nu, H, variance
+            R[np.ix_(own, own)] = level @ R[np.ix_(own, own)] @ level
+    return nu, H, R
 
 
 def _without(prior: Prior, rows: PreciseRows, exclude: frozenset[str]) -> Prior:
@@ -245,19 +247,22 @@ def _without(prior: Prior, rows: PreciseRows, exclude: frozenset[str]) -> Prior:
 
 
 def _marked(
-    prior: Prior, rows: PreciseRows, left_out: Mask, variance: FloatArray
+    prior: Prior, rows: PreciseRows, left_out: Mask, variance: FloatArray, exclude: frozenset[str]
 ) -> tuple[Prior, PreciseRows]:
     """Return prior and rows whose ambiguities bear the mark of those left out, and are born anew for that.
 
     Born anew an ambiguity is what its carrier is longer than predicted, with the errors of the prediction:
     what is open of position, clock and slant delay is the same later, and the carrier shows what came after.
+    So are those of groups that `exclude` names with `ANEW`.
     """
     old = rows.names.ambiguity
     bare = [a.removesuffix(LEFT_OUT) for a in old]
     new = tuple(a + LEFT_OUT if a and out else a for a, out in zip(bare, left_out, strict=True))
-    if new == old:
+    anew = [g + ANEW in exclude for g in rows.names.groups]
+    if new == old and not any(anew):
         return prior, rows
-    again = [r for r, (a, b) in enumerate(zip(old, new, strict=True)) if b.endswith(LEFT_OUT) and a != b]
+    pairs = enumerate(zip(old, new, anew, strict=True))
+    again = [r for r, (a, b, asked) in pairs if b.endswith(LEFT_OUT) and (a != b or asked)]
     renamed = dict(zip(old, new, strict=True))
     layout = Layout(tuple(renamed.get(n, n) for n in prior.state.layout.names))
     rows = replace(rows, names=rows.names.marked(new))

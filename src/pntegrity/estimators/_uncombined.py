@@ -55,7 +55,8 @@ def uncombined_rows(epoch: Epoch, position_m: FloatArray, options: GnssOptions) 
     signals = PreciseRows(
         names, np.concatenate([code.y, carrier.y[own]]), predicted, g.los[at], wet[at],
         (tilt * np.cos(az))[at], (tilt * np.sin(az))[at],
-        _sigma_m(noise, keys, len(code.keys), el[at], cn0), noise.obliquity(el)[at] * noise.bias_factor(keys),
+        _sigma_m(noise, keys, len(code.keys), el[at], cn0), np.ones(len(at)),
+        noise.obliquity(el)[at] * noise.bias_factor(keys),
         nodes_s(code)[row], factor, el[at], az[at], cn0,
     )  # fmt: skip
     rows = _with_products(signals, products, known, of_product, position_m, noise)
@@ -136,7 +137,8 @@ def _with_products(
         joined(signals.predicted, zenith_delays_m(position_m)[0] * total), joined(signals.los, 0.0),
         joined(signals.wet, zenith), joined(signals.north, 0.0), joined(signals.east, 0.0),
         joined(signals.sigma_m, stated * (noise.product_white if noise.product_tau_s > 0.0 else 1.0)),
-        joined(signals.slow, stated), joined(signals.node_s, 0.0), joined(signals.iono, ~zenith),
+        joined(signals.inflation, 1.0), joined(signals.slow, stated), joined(signals.node_s, 0.0),
+        joined(signals.iono, ~zenith),
         joined(signals.el_rad, el), joined(signals.az_rad, az), joined(signals.cn0_dbhz, np.nan),
     )  # fmt: skip
 

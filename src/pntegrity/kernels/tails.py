@@ -136,3 +136,23 @@ def max_threshold(rho_parent: FloatArray, p_fa: float) -> float:
     for _ in range(4):
         h = float(np.sqrt(2.0) * special.erfcinv(min(p_fa / effective_tests(rho_parent, h), 0.9)))
     return h
+
+
+def joint_square(residual: FloatArray, cov: FloatArray) -> float:
+    """Return ``r^T cov^-1 r``; combinations that have no variance of their own, to rounding, are left out.
+
+    Parameters
+    ----------
+    residual, cov : ndarray, shapes (k,) and (k, k)
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(cov), 1e-300))
+    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+    kept = values > 1e-10 * values[-1]
+    y = vectors[:, kept].T @ (residual / scale) / np.sqrt(values[kept])
+    return float(y @ y)
+
+
+def deviation_of(square: float, dof: int) -> float:
+    """Return the deviation of a unit normal that is as improbable as a chi-square of that value."""
+    tail = float(special.gammaincc(0.5 * dof, 0.5 * square))
+    return float(-special.ndtri(0.5 * tail)) if tail > 0.0 else float(np.sqrt(square))
