@@ -226,8 +226,8 @@ def make_monitor(
         raise ValueError(f"monitor {name}: {error}") from None
 
 
-def load_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file.
+def load_toml(path: Path, hint: str = "See the example in the README") -> dict[str, Any]:
+    """Return the tables of a TOML file; `hint` tells where one is shown.
 
     Raises
     ------
@@ -239,7 +239,7 @@ def load_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", path=path) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"is not TOML: {error}", path=path, hint="See the example in the README") from error
+        raise InputError(f"is not TOML: {error}", path=path, hint=hint) from error
 
 
 def make_config(values: dict[str, Any]) -> RunConfig:
@@ -281,11 +281,12 @@ def read_ism(path: Path) -> dict[str, Any]:
     InputError
         Where it cannot be read, or something in it cannot be.
     """
-    table = load_toml(path)
+    hint = "docs/formats/ism.md has an example"
+    table = load_toml(path, hint)
     try:
         Ism.from_table(table)
     except ValueError as error:
-        raise InputError(str(error), path=path, hint="docs/formats/ism.md has an example") from None
+        raise InputError(str(error), path=path, hint=hint) from None
     return table
 
 

@@ -139,7 +139,7 @@ def _too_much(unmonitored: float, budget: float, modes: int) -> str:
     if unmonitored < budget:
         return ""
     return (
-        f"faults beyond the {modes} modes monitored have a probability of {unmonitored:.2g}, "
+        f"faults beyond the {modes} modes monitored have a probability of {min(unmonitored, 1.0):.2g}, "
         f"no less than the integrity risk of {budget:.2g}"
     )
 

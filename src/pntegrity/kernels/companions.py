@@ -40,9 +40,13 @@ class Companions:
     own: FloatArray
     shared: FloatArray
 
-    def take(self, source: npt.NDArray[np.intp]) -> Companions:
-        """Return them for members in another order or several times."""
-        return Companions(self.keys, self.bias[source], self.own[source], self.shared[source])
+    def take(self, source: npt.NDArray[np.intp], origin: int = 0) -> Companions:
+        """Return them for members in another order or several times; where another member becomes member 0,
+        what its error shares with the others' is taken for its own covariance, as under one model.
+        """
+        own = self.own[source]
+        shared = self.shared[source] if origin == 0 else np.broadcast_to(self.own[origin], own.shape)
+        return Companions(self.keys, self.bias[source], own, shared)
 
     def separation(self) -> FloatArray:
         """Return the covariance of each member's separation from member 0, shape (M, n, n)."""

@@ -24,8 +24,10 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 
-BLOCK = 8
+BLOCK = 4
 """Rows that are used together."""
+WIDTH = 16
+"""Matrices at work are this many columns wide, or a multiple: loops that are vectorised then have no rest."""
 
 __all__ = ["Subfilters", "advance", "gains", "predicted", "replicate"]
 
@@ -93,19 +95,22 @@ def _advance(
     count, n = len(used), len(F[0]) - 1
     delta_new, P_new = np.empty((count, n)), np.empty((count, n, n))
     source, scale = _sources(F, n)
+    width = -(-n // WIDTH) * WIDTH
+    U, x, C = np.zeros((width, width)), np.zeros(width), np.zeros((n, width))
+    mean = left(F, delta.T.copy())
     for i in range(count):
-        before, U = P[place[i]], P_new[i]
+        before = P[place[i]]
         if len(source):
             _moved(before, source, scale, U)
         else:
-            U[:] = folded(F, left(F, before))
+            U[:n, :n] = folded(F, left(F, before))
         for a in range(n):
             for s in range(Q[0][a], Q[0][a + 1]):
                 U[a, Q[1][s]] += Q[2][s]
-        mean = left(F, delta[i].copy().reshape(-1, 1))[:, 0]
-        _use_rows(U, mean, H, r, nu, used[i])
-        _mirror(U)
-        delta_new[i] = mean
+        x[:n] = mean[:, i]
+        _use_rows(U, x, H, r, nu, used[i], C)
+        _mirrored(U, P_new[i])
+        delta_new[i] = x[:n]
     return delta_new, P_new
 
 
@@ -133,119 +138,161 @@ def _moved(P: FloatArray, source: npt.NDArray[np.int64], scale: FloatArray, out:
     for a in range(n):
         same &= source[a] == a or source[a] < 0
     for a in range(n):
-        row = out[a]
-        if source[a] < 0:
-            row[:] = 0.0
-        elif same:
-            row[:] = scale[a] * P[a] * scale
-        else:
-            before = P[source[a]]
+        k = source[a]
+        if k < 0:
             for b in range(n):
-                row[b] = scale[a] * scale[b] * before[source[b]] if source[b] >= 0 else 0.0
+                out[a, b] = 0.0
+        elif same:
+            for b in range(n):
+                out[a, b] = scale[a] * scale[b] * P[a, b]
+        else:
+            for b in range(n):
+                out[a, b] = scale[a] * scale[b] * P[k, source[b]] if source[b] >= 0 else 0.0
 
 
 @njit(cache=True, nogil=True)
-def _mirror(U: FloatArray) -> None:
-    for a in range(len(U)):
-        for b in range(a):
-            U[a, b] = U[b, a]
+def _mirrored(U: FloatArray, out: FloatArray) -> None:
+    """Write the symmetric matrix of which `U` has the upper triangle."""
+    for a in range(len(out)):
+        for b in range(a, len(out)):
+            out[a, b] = U[a, b]
+            out[b, a] = U[a, b]
 
 
 @njit(cache=True, nogil=True)
 def _use_rows(
-    U: FloatArray, x: FloatArray, H: Sparse, r: FloatArray, nu: FloatArray, used: BoolArray
+    U: FloatArray, x: FloatArray, H: Sparse, r: FloatArray, nu: FloatArray, used: BoolArray, C: FloatArray
 ) -> None:
     """Use rows, a few at a time; `U` (upper triangle) and `x` are changed in place."""
-    n = len(x)
+    n = len(C)
     rows = np.flatnonzero(used)
-    G, residual = np.empty((BLOCK, n)), np.empty(BLOCK)
-    C, known = np.empty((n, n)), np.full(n, -1, dtype=np.int64)
+    G, residual, L = np.zeros((BLOCK, len(x))), np.empty(BLOCK), np.empty((BLOCK, BLOCK))
+    place, mark = np.zeros(n, dtype=np.int64), np.full(n, -1, dtype=np.int64)
     for first in range(0, len(rows), BLOCK):
         few = rows[first : first + BLOCK]
-        _project(U, x, H, nu, few, C, known, first, G, residual)
-        _whiten_block(H, r, few, G, residual)
-        G[len(few) :] = 0.0
+        _project(U, x, H, nu, few, C, place, mark, G, residual)
+        _root(H, r, few, G, L)
+        _whiten(L, G, residual)
         for j in range(len(few)):
-            _add(x, residual[j], G[j])
-        _take_off(U, G)
+            for b in range(len(x)):
+                x[b] += residual[j] * G[j, b]
+        _take_off(U, G, -(-n // 4) * 4)
 
 
 @njit(cache=True, nogil=True)
 def _project(
     U: FloatArray, x: FloatArray, H: Sparse, nu: FloatArray, few: IntArray, C: FloatArray,
-    known: npt.NDArray[np.int64], mark: int, G: FloatArray, residual: FloatArray,
+    place: npt.NDArray[np.int64], mark: npt.NDArray[np.int64], G: FloatArray, residual: FloatArray,
 ) -> None:  # fmt: skip
-    """Write ``H P`` and the innovations of a few rows; of `U` the upper triangle counts.
+    """Write ``H P`` and the innovations of a few rows, zeros where there are fewer than `G` has; of `U` the
+    upper triangle counts.
 
-    A column that several rows need is put together once: in `C`, where `known` has the `mark` of these rows.
+    A column that several rows need is put together once: in the row `place` of `C`, where `mark` has the
+    first of these rows.
     """
+    n, count = len(C), 0
+    G[len(few) :] = 0.0
+    residual[:] = 0.0
     for j in range(len(few)):
-        k, g = few[j], G[j]
-        g[:] = 0.0
-        residual[j] = nu[k]
-        for s in range(H[0][k], H[0][k + 1]):
-            c, h = H[1][s], H[2][s]
-            residual[j] -= h * x[c]
-            if known[c] != mark:
-                known[c] = mark
+        k = few[j]
+        start, size = H[0][k], H[0][k + 1] - H[0][k]
+        v = nu[k]
+        for s in range(start, start + size):
+            c = H[1][s]
+            v -= H[2][s] * x[c]
+            if mark[c] != few[0]:
+                mark[c], place[c] = few[0], count
                 for a in range(c):
-                    C[c, a] = U[a, c]
-                C[c, c:] = U[c, c:]
-            _add(g, h, C[c])
+                    C[count, a] = U[a, c]
+                for a in range(c, n):
+                    C[count, a] = U[c, a]
+                count += 1
+        residual[j] = v
+        _combine(H, start, size, C, place, G[j])
 
 
 @njit(cache=True, nogil=True)
-def _add(out: FloatArray, scale: float, a: FloatArray) -> None:
-    """Add ``scale a`` to `out`, in place."""
-    for i in range(len(out)):
-        out[i] += scale * a[i]
+def _combine(
+    H: Sparse, start: int, size: int, C: FloatArray, place: npt.NDArray[np.int64], out: FloatArray
+) -> None:
+    """Write a row of ``H P``: the sum of a few columns, four at a time."""
+    n = len(out)
+    out[:] = 0.0
+    for s in range(start, start + size - 3, 4):
+        h0, h1, h2, h3 = H[2][s], H[2][s + 1], H[2][s + 2], H[2][s + 3]
+        p0, p1, p2, p3 = place[H[1][s]], place[H[1][s + 1]], place[H[1][s + 2]], place[H[1][s + 3]]
+        for b in range(n):
+            out[b] += h0 * C[p0, b] + h1 * C[p1, b] + h2 * C[p2, b] + h3 * C[p3, b]
+    for s in range(start + size - size % 4, start + size):
+        h, p = H[2][s], place[H[1][s]]
+        for b in range(n):
+            out[b] += h * C[p, b]
 
 
 @njit(cache=True, nogil=True)
-def _whiten_block(H: Sparse, r: FloatArray, few: IntArray, G: FloatArray, residual: FloatArray) -> None:
-    """Turn ``H P`` and the innovations of a few rows into those of their whitened sums, in place."""
+def _root(H: Sparse, r: FloatArray, few: IntArray, G: FloatArray, L: FloatArray) -> None:
+    """Write the root of the innovation covariance of a few rows, with the inverse of its diagonal on its
+    own; a unit where there are fewer.
+    """
     count = len(few)
-    L = np.zeros((count, count))
+    for i in range(len(L)):
+        for j in range(i + 1):
+            L[i, j] = 0.0
+        L[i, i] = 1.0
     for j in range(count):
         k = few[j]
         for i in range(j, count):
+            v = 0.0
             for s in range(H[0][k], H[0][k + 1]):
-                L[i, j] += H[2][s] * G[i, H[1][s]]
+                v += H[2][s] * G[i, H[1][s]]
+            L[i, j] = v
         L[j, j] += r[k]
-    for j in range(count):  # the root of S, and at once its use: few rows, so without calls
+    for j in range(count):
         for i in range(j):
             pivot = L[j, i]
             for k in range(j, count):
                 L[k, j] -= pivot * L[k, i]
-            _add(G[j], -pivot, G[i])
-            residual[j] -= pivot * residual[i]
         scale = 1.0 / np.sqrt(L[j, j])
-        for k in range(j, count):
+        for k in range(j + 1, count):
             L[k, j] *= scale
-        G[j] *= scale
+        L[j, j] = scale
+
+
+@njit(cache=True, nogil=True)
+def _whiten(L: FloatArray, G: FloatArray, residual: FloatArray) -> None:
+    """Turn ``H P`` and innovations into those of the whitened rows, in place."""
+    for j in range(len(L)):
+        for i in range(j):
+            pivot = L[j, i]
+            for b in range(G.shape[1]):
+                G[j, b] -= pivot * G[i, b]
+            residual[j] -= pivot * residual[i]
+        scale = L[j, j]
+        for b in range(G.shape[1]):
+            G[j, b] *= scale
         residual[j] *= scale
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _take_off(U: FloatArray, G: FloatArray) -> None:
-    """Subtract ``G^T G`` from the upper triangle of `U`, two rows at a time.
+def _take_off(U: FloatArray, G: FloatArray, n: int) -> None:
+    """Subtract ``G^T G``, of four rows `G`, from the upper triangle of the first `n` rows and columns of `U`,
+    four rows at a time.
 
-    Slices from the diagonal on let it be vectorised; one element below the diagonal is touched, too.
+    Slices from the diagonal on let it be vectorised; some elements below the diagonal are touched, too.
     """
-    n = len(U)
-    for a in range(0, n - 1, 2):
-        row, next_row = U[a, a:], U[a + 1, a:]
-        g0, g1, g2, g3 = G[0, a:], G[1, a:], G[2, a:], G[3, a:]
-        g4, g5, g6, g7 = G[4, a:], G[5, a:], G[6, a:], G[7, a:]
-        p0, p1, p2, p3, p4, p5, p6, p7 = g0[0], g1[0], g2[0], g3[0], g4[0], g5[0], g6[0], g7[0]
-        q0, q1, q2, q3, q4, q5, q6, q7 = g0[1], g1[1], g2[1], g3[1], g4[1], g5[1], g6[1], g7[1]
-        for b in range(len(row)):
-            x0, x1, x2, x3, x4, x5, x6, x7 = g0[b], g1[b], g2[b], g3[b], g4[b], g5[b], g6[b], g7[b]
-            row[b] -= p0 * x0 + p1 * x1 + p2 * x2 + p3 * x3 + p4 * x4 + p5 * x5 + p6 * x6 + p7 * x7
-            next_row[b] -= q0 * x0 + q1 * x1 + q2 * x2 + q3 * x3 + q4 * x4 + q5 * x5 + q6 * x6 + q7 * x7
-    if n % 2:
-        for j in range(BLOCK):
-            U[n - 1, n - 1] -= G[j, n - 1] ** 2
+    for a in range(0, n, 4):
+        u0, u1, u2, u3 = U[a, a:n], U[a + 1, a:n], U[a + 2, a:n], U[a + 3, a:n]
+        g0, g1, g2, g3 = G[0, a:n], G[1, a:n], G[2, a:n], G[3, a:n]
+        p0, p1, p2, p3 = g0[0], g1[0], g2[0], g3[0]
+        q0, q1, q2, q3 = g0[1], g1[1], g2[1], g3[1]
+        r0, r1, r2, r3 = g0[2], g1[2], g2[2], g3[2]
+        s0, s1, s2, s3 = g0[3], g1[3], g2[3], g3[3]
+        for b in range(len(u0)):
+            x0, x1, x2, x3 = g0[b], g1[b], g2[b], g3[b]
+            u0[b] -= p0 * x0 + p1 * x1 + p2 * x2 + p3 * x3
+            u1[b] -= q0 * x0 + q1 * x1 + q2 * x2 + q3 * x3
+            u2[b] -= r0 * x0 + r1 * x1 + r2 * x2 + r3 * x3
+            u3[b] -= s0 * x0 + s1 * x1 + s2 * x2 + s3 * x3
 
 
 def predicted(P: FloatArray, F: FloatArray, Q: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from pntegrity.kernels.protection import (
 from pntegrity.monitors._members import Cast
 from pntegrity.records import Bound, FloatArray
 
-__all__ = ["Spread", "bound_of", "factors", "shares"]
+__all__ = ["Spread", "bound_of", "factors", "shares", "still_born"]
 
 Value = TypeVar("Value")
 #: Share of a variance below which a difference of two is rounding.
@@ -51,7 +51,7 @@ class Spread:
     bias: FloatArray
 
     @staticmethod
-    def of(axes: FloatArray, apart: FloatArray, P: FloatArray, born: float) -> Spread:
+    def of(axes: FloatArray, apart: FloatArray, P: FloatArray, born: FloatArray) -> Spread:
         """Return the spread of members in the directions of `axes`.
 
         Parameters
@@ -60,8 +60,8 @@ class Spread:
         apart : ndarray, shape (members, k)
             Positions less that of the filter.
         P : ndarray, shape (members, k, k)
-        born : float
-            Variance with which the position was born at this epoch; inf where it was not.
+        born : ndarray, shape (members,)
+            Variance with which the position was born, where rows have not determined it since; else inf.
         """
         variance = np.einsum("da,iab,db->id", axes, P, axes)
         variance = np.where(_undetermined(axes, P, born), inf, variance)
@@ -85,13 +85,28 @@ class Spread:
         return np.asarray(np.isfinite(s) & (s > ROUNDING * self.variance[0]))
 
 
-def _undetermined(axes: FloatArray, P: FloatArray, born: float) -> npt.NDArray[np.bool_]:
+def _undetermined(axes: FloatArray, P: FloatArray, born: FloatArray) -> npt.NDArray[np.bool_]:
     """Return where a direction has a part that rows do not determine, shape (members, d)."""
-    if not np.isfinite(born):
-        return np.zeros((len(P), len(axes)), dtype=bool)
-    values, vectors = np.linalg.eigh(P)
-    seen = np.abs(np.einsum("dk,ikv->idv", axes, vectors)) > 1e-3
-    return np.asarray((seen & (values > UNDETERMINED * born)[:, None, :]).any(axis=2))
+    out = np.zeros((len(P), len(axes)), dtype=bool)
+    some = np.flatnonzero(np.isfinite(born))
+    if len(some):
+        values, vectors = np.linalg.eigh(P[some])
+        seen = np.abs(np.einsum("dk,ikv->idv", axes, vectors)) > 1e-3
+        out[some] = (seen & (values > UNDETERMINED * born[some, None])[:, None, :]).any(axis=2)
+    return out
+
+
+def still_born(P: FloatArray, born: FloatArray) -> FloatArray:
+    """Return `born` where a position, shape (members, k, k), has a part that rows have not determined; else
+    inf.
+    """
+    some = np.isfinite(born)
+    if not some.any():
+        return born
+    largest = np.linalg.eigvalsh(P[some])[:, -1]
+    out = born.copy()
+    out[some] = np.where(largest > UNDETERMINED * born[some], born[some], inf)
+    return out
 
 
 def shares(split: tuple[float, float, float], directions: int) -> FloatArray:

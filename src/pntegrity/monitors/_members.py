@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import permutations
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from pntegrity.states import rows_touched_by
 Member = tuple[str, ...]
 IntArray = npt.NDArray[np.intp]
 
-__all__ = ["Cast", "Member", "cast_of", "in_order", "sources", "used_rows"]
+__all__ = ["Cast", "Member", "Sources", "cast_of", "in_order", "sources", "used_rows"]
 
 
 @dataclass(frozen=True)
@@ -49,13 +50,17 @@ class Cast:
 
 
 @lru_cache(maxsize=256)
-def cast_of(ism: Ism, groups: tuple[str, ...], pairs: bool) -> Cast:
-    """Return the subfilters for some groups; with `pairs` also those without any two events."""
+def cast_of(ism: Ism, groups: tuple[str, ...], pairs: bool, ordered: bool = False) -> Cast:
+    """Return the subfilters for some groups; with `pairs` also those without any two events.
+
+    `ordered`: those without two events are two members, each of which goes on from the member without the
+    first and does without the second since a switch only.
+    """
     events = events_of(ism, groups)
     faults = fault_modes(events, ism.p_hmi, ism.p_unmonitored, ism.max_modes)
     members = dict.fromkeys([(), *(tuple(sorted(m.events)) for m in faults.monitored)])
     members |= dict.fromkeys((e.name,) for e in events)
-    both = _pairs(events) if pairs else {}
+    both = _pairs(events, ordered) if pairs else {}
     members |= dict.fromkeys(both.values())
     at = {m: i for i, m in enumerate(members)}
     return Cast(
@@ -64,11 +69,13 @@ def cast_of(ism: Ism, groups: tuple[str, ...], pairs: bool) -> Cast:
     )  # fmt: skip
 
 
-def _pairs(events: tuple[Event, ...]) -> dict[tuple[int, int], Member]:
+def _pairs(events: tuple[Event, ...], ordered: bool) -> dict[tuple[int, int], Member]:
     """Return the member without each two events, of which neither contains the other."""
     sets = [frozenset(e.groups) for e in events]
     return {
-        (a, b): tuple(sorted((events[a].name, events[b].name)))
+        (a, b): (events[a].name, events[b].name)
+        if ordered or events[a].name < events[b].name
+        else (events[b].name, events[a].name)
         for a in range(len(events))
         for b in range(len(events))
         if a != b and not sets[a] <= sets[b] and not sets[b] <= sets[a]
@@ -94,21 +101,54 @@ def in_order(keys: tuple[str, ...]) -> IntArray:
     return out
 
 
-@lru_cache(maxsize=256)
-def sources(old: tuple[Member, ...], new: tuple[Member, ...], without: Member) -> IntArray:
-    """Return for each of `new` the member of `old` it goes on from, shape (len(new),).
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Where members come from.
 
-    The one that does without the same events, and without those in `without`, as the filter itself does now;
-    where there is none, the one that lacks fewest of them, the latter first: it does without the rest from
-    now on.
+    Parameters
+    ----------
+    member : ndarray of int, shape (M,)
+        The member of the bank before that each goes on from; what it knows, the filter knows.
+    whole : ndarray of bool, shape (M,)
+        Whether that one has been without all the same events; else what is missing is left out from now on.
+    origin : int
+        The one that the filter goes on from.
     """
-    known = [frozenset(m) for m in old]
-    base = frozenset(without)
-    out = []
-    for member in new:
-        wanted = base.union(member)
-        fitting = [i for i, m in enumerate(known) if m <= wanted]
-        out.append(max(fitting, key=lambda i: (len(known[i] & base), len(known[i]), -i)))
-    found = np.array(out, dtype=np.intp)
-    found.flags.writeable = False
-    return found
+
+    member: IntArray
+    whole: npt.NDArray[np.bool_]
+    origin: int
+
+
+@lru_cache(maxsize=256)
+def sources(
+    old: tuple[Member, ...], new: tuple[Member, ...], without: Member = (), ordered: bool = False
+) -> Sources:
+    """Return where members come from, where the filter goes over to the member without the events `without`.
+
+    Parameters
+    ----------
+    old, new : tuple of tuple of str
+    without : tuple of str
+    ordered : bool
+        Whether members of `old` without two events know what those without the second only do not.
+    """
+    where = {m: i for i, m in enumerate(old)}
+    known = {m[0] for m in old if len(m) == 1}  # what nobody has used yet, nobody needs to do without
+
+    def find(rest: Member) -> tuple[int, bool]:
+        for k in range(len(rest), -1, -1):
+            for first in permutations(without):
+                name = first + rest[:k]
+                at = where.get(name if ordered else tuple(sorted(name)))
+                if at is not None:
+                    return at, k == len(rest)
+        return where.get(without[:1], 0), False
+
+    found = [find(tuple(e for e in m if e in known and e not in without)) for m in new]
+    member, whole = (
+        np.array([i for i, _ in found], dtype=np.intp),
+        np.array([w for _, w in found], dtype=bool),
+    )
+    member.flags.writeable = whole.flags.writeable = False
+    return Sources(member, whole, find(())[0])

@@ -13,8 +13,8 @@ from pntegrity.kernels.axes import local_axes, track_axes
 from pntegrity.kernels.carried_test import CarriedTest
 from pntegrity.kernels.companions import Companions, accompany
 from pntegrity.kernels.separation import Subfilters, advance, gains, predicted, replicate
-from pntegrity.monitors._levels import Spread, bound_of, factors
-from pntegrity.monitors._members import Cast, Member, cast_of, in_order, sources, used_rows
+from pntegrity.monitors._levels import Spread, bound_of, factors, still_born
+from pntegrity.monitors._members import Cast, Member, Sources, cast_of, in_order, sources, used_rows
 from pntegrity.monitors._options import check_test
 from pntegrity.monitors._suspects import suspects_of
 from pntegrity.monitors._window import no_redundancy, unavailable
@@ -33,8 +33,9 @@ NO_MODES = "no fault mode has a probability: nothing is tested"
 class SeparationMemory:
     """What the separation monitor keeps: its subfilters in the states of `layout`, and whom they are without.
 
-    `groups` are those in view or not yet forgotten, `since_ns` is when the bank began, `where_m` the last
-    position.
+    `groups` are those in view or not yet forgotten, `where_m` the last position. Of each member `began_ns` is
+    when what it is without was left out (or since ever, when the bank began), and `born_m2` the variance with
+    which its position was born, where rows have not determined it since. `ordered`: see `cast_of`.
     """
 
     t_ns: int = 0
@@ -42,21 +43,23 @@ class SeparationMemory:
     members: tuple[Member, ...] = ()
     bank: Subfilters | None = None
     groups: tuple[str, ...] = ()
-    since_ns: int = 0
+    began_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    born_m2: FloatArray = field(default_factory=lambda: np.zeros(0))
     where_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    ordered: bool = False
     beside: Companions | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """How a bank goes into an epoch: `source` and `origin` are where its members stand in it."""
+    """How a bank goes into an epoch: where its members come from, and what is known of them."""
 
     bank: Subfilters
     F: FloatArray
     Q: FloatArray
-    source: npt.NDArray[np.intp]
-    origin: int
-    since_ns: int
+    sources: Sources
+    began_ns: npt.NDArray[np.int64]
+    born_m2: FloatArray
     beside: Companions | None = None
 
 
@@ -127,7 +130,8 @@ class Separation:
         """Return the belief of the filter that never knew `groups`; see `protocols.Switching`."""
         if memory.bank is None or memory.t_ns != state.t_ns:
             return state
-        chosen = int(sources(memory.members, ((),), self._events(memory, groups))[0])
+        without = self._events(memory, groups)
+        chosen = sources(memory.members, ((),), without, memory.ordered).origin
         mean = state.mean + memory.bank.delta[chosen]
         return State(state.t_ns, mean, memory.bank.P[chosen], state.layout)
 
@@ -141,7 +145,8 @@ class Separation:
             why = no_redundancy(update) if not update.keys else "there is no position among the states"
             return unavailable(self.name, self.variant, update, why), after
         spread = self._spread(memory, after, update)
-        verdict = self._judge(spread, cast, update, after.since_ns)
+        since_ns = int(after.began_ns[: 1 + len(cast.faults.monitored)].max())
+        verdict = self._judge(spread, cast, update, since_ns)
         return verdict, replace(after, groups=_remembered(after.groups, update, cast, spread))
 
     def plan(self, memory: SeparationMemory, update: Update) -> tuple[CarriedTest, SeparationMemory]:
@@ -156,7 +161,7 @@ class Separation:
         spread = alone._spread(replace(memory, where_m=np.zeros(0)), after, update)
         allowed = self._allowed(spread, cast)
         step = alone._into(memory, update, cast)
-        prior = predicted(step.bank.P[step.source], step.F, step.Q)
+        prior = predicted(step.bank.P[step.sources.member], step.F, step.Q)
         K = gains(prior, update.H, update.R, used_rows(cast, update.keys))
         axes = np.zeros((3, len(update.prior)))
         axes[:, position] = local_axes(after.where_m)
@@ -165,9 +170,10 @@ class Separation:
             1.0, allowed, out=np.zeros_like(allowed), where=allowed > 0.0
         )
         test = CarriedTest(
-            step.source, (np.eye(len(prior[0])) - K @ update.H) @ step.F, (K - update.K) @ update.L, axes,
+            step.sources.member, (np.eye(len(prior[0])) - K @ update.H) @ step.F, (K - update.K) @ update.L,
+            axes,
             inverse, alone._factors(spread, cast), self.factor, self.p_fa,
-            1 + round((update.t_ns - step.since_ns) * 1e-9), "" if inverse.any() else NO_MODES,
+            1 + round((update.t_ns - int(step.began_ns[0])) * 1e-9), "" if inverse.any() else NO_MODES,
         )  # fmt: skip
         after = replace(after, groups=_remembered(after.groups, update, cast, spread))
         return test, after
@@ -177,46 +183,49 @@ class Separation:
         follows = _follows(memory, update)
         present = set(update.groups())
         groups = tuple(sorted(present.union(memory.groups if follows else ())))
-        cast = cast_of(self.ism, groups, self.pairs and self.variant == "exact")
-        step = self._into(memory, update, cast)
+        ordered = follows and (memory.ordered or bool(update.switched))
+        cast = cast_of(self.ism, groups, self.pairs and self.variant == "exact", ordered)
+        step = self._into(memory, update, cast) if follows else _beginning(update, cast)
         used = used_rows(cast, update.keys)
         at = in_order(update.keys)  # the same sums whatever the order of the rows is
         rows = update.H[at], update.R[np.ix_(at, at)], update.nu[at], used[:, at]
-        bank = advance(step.bank, step.F, step.Q, *rows, step.source, step.origin)
-        where = update.posterior.mean[update.posterior.layout.block("pos")]
+        bank = advance(step.bank, step.F, step.Q, *rows, step.sources.member, step.sources.origin)
+        position = update.posterior.layout.block("pos")
+        born = (
+            still_born(bank.P[:, position[:, None], position], step.born_m2)
+            if len(position)
+            else step.born_m2
+        )
         return cast, SeparationMemory(
-            update.t_ns, update.posterior.layout, cast.members, bank, groups, step.since_ns, where,
-            self._beside(step, cast, update, used),
+            update.t_ns, update.posterior.layout, cast.members, bank, groups, step.began_ns, born,
+            update.posterior.mean[position], ordered, self._beside(step, update, used),
         )  # fmt: skip
 
     def _into(self, memory: SeparationMemory, update: Update, cast: Cast) -> _Step:
-        """Return the step into `update`, and where each member comes from."""
-        if memory.bank is None or not _follows(memory, update):
-            n = len(update.prior)  # the bank begins: all members know what the filter knows
-            none = np.zeros(len(cast.members), np.intp)
-            return _Step(replicate(update.prior.P), np.eye(n), np.zeros((n, n)), none, 0, update.t_ns)
+        """Return the step into `update`."""
+        assert memory.bank is not None
         without = self._events(memory, frozenset(update.switched))
-        source = sources(memory.members, cast.members, without)
-        origin = int(sources(memory.members, ((),), without)[0])
-        beside = None if without else memory.beside
-        return _Step(memory.bank, update.F, update.Q, source, origin, memory.since_ns, beside)
+        found = sources(memory.members, cast.members, without, memory.ordered)
+        began = np.where(found.whole, memory.began_ns[found.member], update.t_ns)
+        born = _born(update, update.Q, memory.born_m2[found.member])
+        beside = memory.beside.take(found.member, found.origin) if memory.beside is not None else None
+        return _Step(memory.bank, update.F, update.Q, found, began, born, beside)
 
-    def _beside(self, step: _Step, cast: Cast, update: Update, used: BoolArray) -> Companions | None:
-        """Return what goes beside the filter and the monitored modes after `update`."""
-        few = slice(0, 1 + len(cast.faults.monitored))
-        nominal, beside = self._nominal(update.keys), step.beside
-        if beside is None and update.R_accuracy is None and not nominal.any():
+    def _beside(self, step: _Step, update: Update, used: BoolArray) -> Companions | None:
+        """Return what goes beside the members after `update`."""
+        nominal = self._nominal(update.keys)
+        if step.beside is None and update.R_accuracy is None and not nominal.any():
             return None
-        source = step.source[few]
-        known = beside.take(source) if beside is not None and source.max() < len(beside.own) else None
         return accompany(
-            known, step.bank.take(source, step.origin), step.F, step.Q, update.H, update.R,
-            update.R_accuracy, nominal, update.keys, used[few],
+            step.beside, step.bank.take(step.sources.member, step.sources.origin), step.F, step.Q, update.H,
+            update.R, update.R_accuracy, nominal, update.keys, used,
         )  # fmt: skip
 
     def _events(self, memory: SeparationMemory, groups: frozenset[str]) -> Member:
         """Return the names of the events behind groups that are left out."""
-        events = cast_of(self.ism, memory.groups, self.pairs and self.variant == "exact").events
+        if not groups:
+            return ()
+        events = cast_of(self.ism, memory.groups, False).events
         whole = [e for e in events if frozenset(e.groups) == groups]
         chosen = whole[:1] or [e for e in events if e.groups and frozenset(e.groups) <= groups]
         return tuple(sorted(e.name for e in chosen))
@@ -239,10 +248,7 @@ class Separation:
             sigma = float(np.sqrt(np.trace(P[0])))
             track = track_axes(axes, after.where_m - memory.where_m, max(COURSE_M, COURSE_SIGMA * sigma))
             axes = axes if track is None else np.concatenate([axes, track])
-        forgets = not update.F[position].any()
-        born = float(np.diagonal(update.Q)[position].min()) if forgets else np.inf
-        apart = bank.delta[:, position]
-        spread = Spread.of(axes, apart, P, born)
+        spread = Spread.of(axes, bank.delta[:, position], P, after.born_m2)
         return spread if after.beside is None else spread.refined(axes, after.beside, position)
 
     def _judge(self, spread: Spread, cast: Cast, update: Update, since_ns: int) -> Verdict:
@@ -282,11 +288,29 @@ def _follows(memory: SeparationMemory, update: Update) -> bool:
     return fits and not update.is_start and update.t_ns > memory.t_ns
 
 
+def _beginning(update: Update, cast: Cast) -> _Step:
+    """Return the step of a bank that begins: all members know what the filter knows before `update`."""
+    n, count = len(update.prior), len(cast.members)
+    none = Sources(np.zeros(count, dtype=np.intp), np.ones(count, dtype=bool), 0)
+    began = np.full(count, update.t_ns, dtype=np.int64)
+    born = _born(update, update.prior.P, np.full(count, np.inf))
+    return _Step(replicate(update.prior.P), np.eye(n), np.zeros((n, n)), none, began, born)
+
+
+def _born(update: Update, P: FloatArray, before: FloatArray) -> FloatArray:
+    """Return the variance with which the position of each member was born, now or before."""
+    position = update.prior.layout.block("pos")
+    if update.F[position].any() or not len(position):
+        return before
+    return np.full(len(before), float(np.diagonal(P)[position].min()))
+
+
 def _remembered(groups: tuple[str, ...], update: Update, cast: Cast, spread: Spread) -> tuple[str, ...]:
     """Return the groups in view, and those that still move the position."""
     present = update.groups()
     if len(groups) == len(present):
         return groups
     moves = (spread.separation > FORGOTTEN**2 * spread.variance[0]).any(axis=1)
-    kept = {g for e, i in zip(cast.events, cast.single, strict=True) if moves[i] for g in e.groups}
+    single = zip(cast.events, cast.single, strict=True)
+    kept = {e.groups[0] for e, i in single if moves[i] and len(e.groups) == 1}
     return tuple(g for g in groups if g in present or g in kept)
