@@ -10,10 +10,19 @@ from pntegrity.estimators._precise_filter import PreciseFilter
 from pntegrity.records import Epoch, Prior, State, Update
 from pntegrity.sensors.noise import Fitted, NoiseModel
 
-__all__ = ["Precise", "Usual"]
+__all__ = ["ALWAYS_FITTED", "Precise", "Usual"]
 
 #: Monitors of a run that names none.
 MONITORS = ("rctm", "srctm", "aime", "sraime", "glr")
+
+#: What a calibration of any precise estimator fits beside sizes of noise.
+ALWAYS_FITTED = (
+    Fitted("isb_m", 1e-6, 0.1),
+    Fitted("satellite_clock_m", 1e-5, 0.1, rows="carrier"),
+    Fitted("glonass_factor", 1.0, 6.0),
+    Fitted("glonass_carrier_factor", 1.0, 6.0),
+    Fitted("bds2_factor", 1.0, 6.0),
+)
 
 
 class Usual:

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from pntegrity.estimators._carrier import precise_rows
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._precise_filter import PreciseFilter
-from pntegrity.estimators._usual import Precise
+from pntegrity.estimators._usual import ALWAYS_FITTED, Precise
 from pntegrity.sensors.noise import PPP, Fitted, NoiseModel
 
 
@@ -41,11 +41,7 @@ class Ppp(Precise):
         Fitted("code_bias_m", 0.02, 20.0, 0.3, "slow", rows="code"),
         Fitted("code_bias_tau_s", 60.0, 86400.0, 600.0, size="code_bias_m"),
         Fitted("zwd_walk_m", 1e-6, 1e-3),
-        Fitted("isb_m", 1e-6, 0.1),
-        Fitted("satellite_clock_m", 1e-5, 0.1, rows="carrier"),
-        Fitted("glonass_factor", 1.0, 6.0),
-        Fitted("glonass_carrier_factor", 1.0, 6.0),
-        Fitted("bds2_factor", 1.0, 6.0),
+        *ALWAYS_FITTED,
     )
     options: GnssOptions = field(default_factory=lambda: GnssOptions(noise=PPP, max_gap_s=Ppp.max_gap_s))
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._precise_filter import PreciseFilter
 from pntegrity.estimators._uncombined import ionosphere_free, uncombined_rows
-from pntegrity.estimators._usual import Precise
+from pntegrity.estimators._usual import ALWAYS_FITTED, Precise
 from pntegrity.sensors.noise import PPP_RTK, Fitted, NoiseModel
 
 
@@ -48,11 +48,7 @@ class PppRtk(Precise):
         Fitted("code_white_m", 0.02, 30.0, 0.25, "white", rows="code"),
         Fitted("iono_walk_m", 1e-5, 0.1),
         Fitted("zwd_walk_m", 1e-6, 1e-3),
-        Fitted("isb_m", 1e-6, 0.1),
-        Fitted("satellite_clock_m", 1e-5, 0.1, rows="carrier"),
-        Fitted("glonass_factor", 1.0, 6.0),
-        Fitted("glonass_carrier_factor", 1.0, 6.0),
-        Fitted("bds2_factor", 1.0, 6.0),
+        *ALWAYS_FITTED,
     )
     options: GnssOptions = field(
         default_factory=lambda: GnssOptions(noise=PPP_RTK, max_gap_s=PppRtk.max_gap_s)

@@ -219,18 +219,27 @@ def _root(
     x = low
     for _ in range(STEPS):
         total, slope = _risk_at(x, s0, b0, p, s, c)
-        if total > risk:
-            low = x
-        else:
-            high = x
-        step = (log(total) - log(risk)) * total / slope if total > 0.0 and slope > 0.0 else inf
-        after = x + step
-        if not low <= after <= high:
-            after = 0.5 * (low + high)
+        after, low, high = _newton(x, low, high, risk, total, slope)
         if abs(after - x) <= 1e-13 * high:
             return after
         x = after
     return high
+
+
+@njit(cache=True, nogil=True)
+def _newton(
+    x: float, low: float, high: float, risk: float, total: float, slope: float
+) -> tuple[float, float, float]:
+    """Return where Newton's step on the logarithm of the risk leads from `x`, or the middle where it leaves
+    the bracket, and the bracket after it.
+    """
+    if total > risk:
+        low = x
+    else:
+        high = x
+    step = (log(total) - log(risk)) * total / slope if total > 0.0 and slope > 0.0 else inf
+    after = x + step
+    return (after if low <= after <= high else 0.5 * (low + high)), low, high
 
 
 @njit(cache=True, nogil=True)
@@ -281,14 +290,7 @@ def _least_root(
     worst = (x * ss**2 + limit * s0**2) / (s0**2 + ss**2)
     for _ in range(STEPS):
         total, slope = _least_at(x, s0, none, p, ss, limit, worst)
-        if total > risk:
-            low = x
-        else:
-            high = x
-        step = (log(total) - log(risk)) * total / slope if total > 0.0 and slope > 0.0 else inf
-        after = x + step
-        if not low <= after <= high:
-            after = 0.5 * (low + high)
+        after, low, high = _newton(x, low, high, risk, total, slope)
         if abs(after - x) <= 1e-9 * high:
             return after
         x = after

@@ -153,8 +153,7 @@ def _integrity(runs: Sequence[Track]) -> list[Row]:
         _row("alerts without a fault", "at most 1 % of epochs", f"{alarms} of {epochs}",
              alarms <= 0.01 * epochs),
         _row("true fault: codes of C25 78 m off at 03:39:30, left out", "stated", f"{named} of {len(last)}",
-             note=f"{len(silent)} runs give no alert: below the thresholds; largest error then "
-             f"{max(silent, default=0.0):.2f} m"),
+             note=f"{len(silent)} without an alert, errors up to {max(silent):.2f} m" if silent else ""),
         _row("epochs with an error beyond its level, E, N or U", "0", f"{beyond} of {epochs + len(last)}",
              beyond == 0),
         _row("horizontal Stanford count: within, beyond, alert", "stated",
@@ -322,8 +321,6 @@ def _returned(start: _Start) -> Row:
     spoilt = ((s, apply_faults(start.span, [parse_fault(fault.format(s=s))])) for s in names)
     found = [start.through(span, s) for s, span in spoilt]
     back = sum(any(f.satellite in g for g in f.track.readmitted.values()) for f in found)
-    return _fault(
-        "5 m, 3 epochs: back within 15 min of the onset", "stated", f"{back} of {len(found)}",
-        note="the ambiguity of a satellite that is left out keeps the fault in it: when this ends, its "
-        "carriers look wrong until an arc begins anew",
-    )  # fmt: skip
+    away = ", ".join(f.satellite for f in found if f.satellite not in sum(f.track.readmitted.values(), ()))
+    quantity = "5 m, 3 epochs: back within 15 min of the onset"
+    return _fault(quantity, "stated", f"{back} of {len(found)}", note=away and f"not: {away}")

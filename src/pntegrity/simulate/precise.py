@@ -16,7 +16,7 @@ from pntegrity.physics.atmosphere import mapping_factors, zenith_delays_m
 from pntegrity.physics.frames import elevation_azimuth
 from pntegrity.physics.orbits import SatelliteStates
 from pntegrity.records import Epoch, FloatArray, Observation
-from pntegrity.sensors.gnss import C_MPS, geometry
+from pntegrity.sensors.gnss import C_MPS, Geometry, geometry
 from pntegrity.sensors.noise import PPP, NoiseModel
 from pntegrity.simulate.receiver import gauss_markov
 
@@ -168,17 +168,27 @@ def bridges(
     return (walk - line)[np.searchsorted(grid, t_ns)], apart
 
 
+def in_view(
+    k: int, n: int, place_m: FloatArray, found: SatelliteStates, mask_rad: float
+) -> tuple[slice, Geometry, FloatArray, npt.NDArray[np.intp]]:
+    """Return the rows of epoch `k` of `n` satellites, their geometry and elevations, and which are in
+    view.
+    """
+    row = slice(k * n, (k + 1) * n)
+    sv, ok = found.position_m[row], found.ok[row]
+    g = geometry(place_m, np.where(ok[:, None], sv, 2.0 * place_m))
+    el, _ = elevation_azimuth(place_m, g.los)
+    return row, g, el, np.flatnonzero(ok & (el >= mask_rad))
+
+
 def _epoch(
     k: int, t_ns: int, place_m: FloatArray, names: npt.NDArray[np.str_], found: SatelliteStates,
     errors: _Errors,
     receiver: PreciseReceiver,
 ) -> Epoch:  # fmt: skip
     """Return one epoch: the satellites above the mask."""
-    row = slice(k * len(names), (k + 1) * len(names))
-    sv, clk, ok = found.position_m[row], found.clock_m[row], found.ok[row]
-    g = geometry(place_m, np.where(ok[:, None], sv, 2.0 * place_m))
-    el, _ = elevation_azimuth(place_m, g.los)
-    seen = np.flatnonzero(ok & (el >= receiver.mask_rad))
+    row, g, el, seen = in_view(k, len(names), place_m, found, receiver.mask_rad)
+    sv, clk = found.position_m[row], found.clock_m[row]
     keys = [f"{names[i]}:C{PAIRS[names[i][0]].replace('+', '+C')}" for i in seen]
     dry, wet = mapping_factors(place_m, el[seen], t_ns)
     air = zenith_delays_m(place_m)[0] * dry + errors.wet_m[k] * wet

@@ -13,13 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.physics.atmosphere import mapping_factors, zenith_delays_m
-from pntegrity.physics.frames import elevation_azimuth
 from pntegrity.physics.orbits import SatelliteStates
 from pntegrity.physics.signals import frequency_hz
 from pntegrity.records import Epoch, FloatArray, Observation
-from pntegrity.sensors.gnss import geometry
 from pntegrity.sensors.noise import NoiseModel
-from pntegrity.simulate.precise import CN0_DBHZ, PreciseReceiver, States, bridges, placed
+from pntegrity.simulate.precise import CN0_DBHZ, PreciseReceiver, States, bridges, in_view, placed
 from pntegrity.simulate.receiver import gauss_markov
 
 __all__ = ["Air", "Uncombined", "simulate_uncombined"]
@@ -166,11 +164,8 @@ def _epoch(
     drawn: _Drawn, receiver: PreciseReceiver, air: Air, freq_hz: FloatArray,
 ) -> Epoch:  # fmt: skip
     """Return one epoch: the satellites above the mask, two rows each of code and carrier."""
-    row = slice(k * len(names), (k + 1) * len(names))
-    sv, clk, ok = found.position_m[row], found.clock_m[row], found.ok[row]
-    g = geometry(place_m, np.where(ok[:, None], sv, 2.0 * place_m))
-    el, _ = elevation_azimuth(place_m, g.los)
-    seen = np.flatnonzero(ok & (el >= receiver.mask_rad))
+    row, g, el, seen = in_view(k, len(names), place_m, found, receiver.mask_rad)
+    sv, clk = found.position_m[row], found.clock_m[row]
     dry, wet = mapping_factors(place_m, el[seen], t_ns)
     path = g.range_m[seen] - clk[seen] - drawn.satellite_m[k, seen] + drawn.clock_m[k]
     path = path + zenith_delays_m(place_m)[0] * dry + drawn.wet_m[k] * wet
