@@ -23,6 +23,8 @@ MARGIN = 9.0
 SEPARATION = "separation"
 #: Share of what was learnt of a fault's persistence that is kept from epoch to epoch.
 FORGETTING = 0.9
+#: A group whose residuals are this many standard deviations off is at fault.
+CONFIRMED = 5.0
 TOO_FEW = "too few measurements would be left"
 
 __all__ = [
@@ -98,6 +100,8 @@ class Standing:
         Whether its ambiguities shall begin anew at the next epoch, and prove themselves.
     rows : tuple of (str, float)
         By how much its rows were off when it was excluded.
+    doubtful : bool
+        Whether others could be at fault as well: until its rows show that they are off.
     gain : float
         Twice the log-likelihood of those residuals against none, summed over the proof: above 0 the fault is
         still there, as far as anyone can tell.
@@ -112,6 +116,7 @@ class Standing:
     level_ns: int | None = None
     anew: bool = False
     rows: tuple[tuple[str, float], ...] = ()
+    doubtful: bool = False
     gain: float = 0.0
 
 
@@ -359,6 +364,7 @@ def _reviewed(
         seen_ns = t_ns if present else s.seen_ns
         return None if gone else replace(s, clean_ns=None, level_ns=None, anew=False, seen_ns=seen_ns)
     whole, level = found
+    s = replace(s, doubtful=s.doubtful and whole <= CONFIRMED)
     needed = max(policy.proof_s, policy.proof_epochs * step_s) * 2.0 ** (min(s.times, 5) - 1)
     since = s.level_ns if s.level_ns is not None else t_ns
     level_ns = since if level <= policy.proof_sigma else None

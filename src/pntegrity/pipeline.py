@@ -253,12 +253,17 @@ class Pipeline:
         standing = dict(now.standing)
         for e in made:
             counts[e.group] = counts.get(e.group, 0) + 1
-            standing[e.group] = Standing(e.onset_ns, epoch.t_ns, times=counts[e.group], rows=e.rows)
+            doubtful = e.switch and e.ambiguous
+            standing[e.group] = Standing(
+                e.onset_ns, epoch.t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful
+            )
         present = frozenset(group_of(k) for o in epoch.observations for k in o.keys)
         step_s = _step_s(now, epoch.t_ns)
         after = review(standing, update, present, self.policy, step_s)
         readmitted = tuple(g for g in standing if g not in after)
         alert = _alert(last.verdicts) or bool(reason)
+        doubt = [g for g, s in after.items() if s.doubtful]
+        told = f"{', '.join(doubt)} left out, but others could be at fault as well" if doubt else ""
         since = (now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns) if alert else None
         patience_s = max(self.policy.restart_s, self.policy.restart_epochs * step_s)
         stuck = since is not None and (epoch.t_ns - since) * 1e-9 >= patience_s and self.policy.exclude
@@ -275,9 +280,11 @@ class Pipeline:
                 [reason, f"alert unresolved for {patience_s:.0f} s: the filter starts anew"]
             )
         outcome = Outcome(
-            epoch.t_ns, _status(last.verdicts, alert), last.updates, last.rewound, last.verdicts,
+            epoch.t_ns, _status(last.verdicts, alert or bool(doubt)), last.updates, last.rewound,
+            last.verdicts,
             first.verdicts, made,
-            readmitted, reason or update.reason,
+            readmitted,
+            join_reasons([reason or told, update.reason]) if doubt else reason or update.reason,
         )  # fmt: skip
         return outcome, checkpoint
 

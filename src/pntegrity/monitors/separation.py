@@ -185,7 +185,7 @@ class Separation:
         groups = tuple(sorted(present.union(memory.groups if follows else ())))
         ordered = follows and (memory.ordered or bool(update.switched))
         cast = cast_of(self.ism, groups, self.pairs and self.variant == "exact", ordered)
-        step = self._into(memory, update, cast) if follows else _beginning(update, cast)
+        step = self._into(memory, update, cast)
         used = used_rows(cast, update.keys)
         at = in_order(update.keys)  # the same sums whatever the order of the rows is
         rows = update.H[at], update.R[np.ix_(at, at)], update.nu[at], used[:, at]
@@ -203,7 +203,8 @@ class Separation:
 
     def _into(self, memory: SeparationMemory, update: Update, cast: Cast) -> _Step:
         """Return the step into `update`."""
-        assert memory.bank is not None
+        if memory.bank is None or not _follows(memory, update):
+            return _beginning(update, cast)
         without = self._events(memory, frozenset(update.switched))
         found = sources(memory.members, cast.members, without, memory.ordered)
         began = np.where(found.whole, memory.began_ns[found.member], update.t_ns)
