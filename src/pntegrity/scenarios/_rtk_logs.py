@@ -61,7 +61,7 @@ class Track:
     alarm : ndarray of bool, shape (n,)
         Whether a monitor gave an alert before any exclusion.
     alert : ndarray of bool, shape (n,)
-        Whether one is left after exclusion.
+        Whether one is left after exclusion, or who was left out is in doubt.
     left_out : mapping of int to tuple of str
         Groups excluded by epoch.
     readmitted : mapping of int to tuple of str
@@ -171,7 +171,7 @@ def watched(outcomes: Sequence[Outcome], place_m: FloatArray) -> Track:
     return replace(
         bare, level_m=level,
         alarm=np.array([o.first[0].status == "alert" for o in outcomes], dtype=bool),
-        alert=np.array([o.verdicts[0].status == "alert" for o in outcomes], dtype=bool),
+        alert=np.array([o.status == "alert" for o in outcomes], dtype=bool),
         left_out={k: tuple(e.group for e in o.exclusions) for k, o in enumerate(outcomes) if o.exclusions},
         readmitted={k: o.readmitted for k, o in enumerate(outcomes) if o.readmitted},
     )  # fmt: skip
