@@ -75,7 +75,8 @@ def test_the_effective_monitor_threshold_is_that_of_the_exact_root(version: str)
 def spread_of(own: FloatArray) -> Any:
     from pntegrity.monitors._levels import Spread
 
-    return Spread.of(np.eye(3), np.zeros((len(own), 3)), own[:, :3, :3], np.inf)
+    n = len(own)
+    return Spread.of(np.eye(3), np.zeros((n, 3)), own[:, :3, :3], np.full(n, np.inf), np.zeros((n, 0, 3)))
 
 
 @pytest.mark.parametrize("version", VECTORS)

@@ -1,4 +1,6 @@
-"""What goes beside a bank: nominal biases against filters fed with them, covariances against many runs."""
+"""What a bank says of nominal biases, against filters fed with them, and covariances beside it, against many
+runs.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,9 @@ RNG = np.random.default_rng(12)
 H = RNG.standard_normal((ROWS, N))
 R = np.diag(RNG.uniform(0.5, 2.0, ROWS))
 F, Q, P0 = 0.95 * np.eye(N), 0.05 * np.eye(N), np.eye(N)
-KEYS = tuple(f"G{i:02d}:C1C" for i in range(1, ROWS + 1))
 USED = np.array([[1] * 6, [0, 1, 1, 1, 1, 1], [1, 1, 1, 1, 0, 0]], dtype=bool)
 NOMINAL = np.array([0.5, 0.2, 0.0, 0.3, 0.0, 1.0])
+SOME = np.flatnonzero(NOMINAL)
 
 
 def steps(epochs: int):
@@ -26,16 +28,24 @@ def steps(epochs: int):
         yield (F, Q) if k else (np.eye(N), np.zeros((N, N)))
 
 
-def beside(epochs: int, actual: np.ndarray | None, nominal: np.ndarray) -> tuple[Subfilters, Companions]:
+def beside(epochs: int, actual: np.ndarray | None) -> tuple[Subfilters, Companions]:
     bank, found = replicate(P0).take(np.zeros(3, np.intp)), None
     for f, q in steps(epochs):
-        found = accompany(found, bank, f, q, H, R, actual, nominal, KEYS, USED)
+        found = accompany(found, bank, f, q, H, R, actual, USED)
         bank = advance(bank, f, q, H, R, np.zeros(ROWS), USED)
     assert found is not None
     return bank, found
 
 
-def errors(z: np.ndarray) -> np.ndarray:
+def biased(epochs: int, R: np.ndarray = R) -> np.ndarray:
+    """Return the bias each row with a nominal one makes, shape (3, c, N)."""
+    bank = replicate(P0).take(np.zeros(3, np.intp)).with_biases(np.full(len(SOME), -1))
+    for f, q in steps(epochs):
+        bank = advance(bank, f, q, H, R, np.zeros(ROWS), USED, biases=np.diag(NOMINAL)[SOME])
+    return bank.bias
+
+
+def errors(z: np.ndarray, R: np.ndarray = R) -> np.ndarray:
     """Return the estimates of the members from rows `z` (epochs, runs, rows), shape (runs, 3, N)."""
     x, bank = np.zeros((z.shape[1], 3, N)), replicate(P0).take(np.zeros(3, np.intp))
     for (f, q), rows in zip(steps(len(z)), z, strict=True):
@@ -46,41 +56,29 @@ def errors(z: np.ndarray) -> np.ndarray:
     return x
 
 
-def test_each_bias_is_what_a_filter_makes_of_it() -> None:
-    _, found = beside(7, None, NOMINAL)
-    assert found.keys == tuple(k for k, b in zip(KEYS, NOMINAL, strict=True) if b)
-    fed = np.array([np.diag(NOMINAL)[np.flatnonzero(NOMINAL)]] * 7)
-    np.testing.assert_allclose(found.bias, np.moveaxis(errors(fed), 0, 2), atol=1e-12)
+@pytest.mark.parametrize("noise", [R, R + 0.1], ids=["diagonal", "full"])
+def test_each_bias_is_what_a_filter_makes_of_it(noise: np.ndarray) -> None:
+    fed = np.array([np.diag(NOMINAL)[SOME]] * 7)
+    np.testing.assert_allclose(biased(7, noise), np.moveaxis(errors(fed, noise), 0, 1), atol=1e-12)
 
 
 def test_no_signs_of_the_biases_do_worse_than_the_sum() -> None:
-    _, found = beside(7, None, NOMINAL)
     signs = np.array(list(product((-1.0, 1.0), repeat=ROWS)))
     brute = np.abs(errors(np.array([signs * NOMINAL] * 7))).max(axis=0)
-    np.testing.assert_allclose(np.abs(found.bias).sum(axis=2), brute, atol=1e-12)
+    np.testing.assert_allclose(np.abs(biased(7)).sum(axis=1), brute, atol=1e-12)
 
 
-def test_a_row_that_comes_late_or_goes_has_its_own_column() -> None:
-    # GIVEN a row that is there in the second half only, and one in the first only
-    bank, found = replicate(P0).take(np.zeros(3, np.intp)), None
-    x = np.zeros((1, 3, N))
-    for k, (f, q) in enumerate(steps(8)):
-        seen = np.array([i for i in range(ROWS) if i != (0 if k < 4 else 1)])
-        sub = (H[seen], R[np.ix_(seen, seen)])
-        keys = tuple(KEYS[i] for i in seen)
-        found = accompany(found, bank, f, q, *sub, None, NOMINAL[seen], keys, USED[:, seen])
-        K = gains(predicted(bank.P, f, q), *sub, USED[:, seen])
-        x = x @ f.T
-        x = x + np.einsum("inm,rim->rin", K, np.where(seen == 0, NOMINAL[0], 0.0)[None, None] - x @ sub[0].T)
-        bank = advance(bank, f, q, *sub, np.zeros(len(seen)), USED[:, seen])
-    # THEN the columns are of all rows that ever had a bias, and that of the late one is right
-    assert found is not None
-    assert set(found.keys) == {k for k, b in zip(KEYS, NOMINAL, strict=True) if b}
-    np.testing.assert_allclose(found.bias[:, :, found.keys.index(KEYS[0])], x[0], atol=1e-12)
+def test_a_bias_begins_goes_on_and_is_forgotten() -> None:
+    bank = replicate(P0).take(np.zeros(3, np.intp)).with_biases(np.array([-1]))
+    bank = advance(bank, *next(steps(1)), H, R, np.zeros(ROWS), USED, biases=np.eye(ROWS)[:1])
+    both = bank.with_biases(np.array([-1, 0]))
+    np.testing.assert_array_equal(both.bias[:, 0], 0.0)
+    np.testing.assert_array_equal(both.bias[:, 1], bank.bias[:, 0])
+    assert both.with_biases(np.array([], dtype=int)).bias.shape == (3, 0, N)
 
 
 def test_where_the_model_is_right_own_and_shared_covariances_are_those_of_the_bank() -> None:
-    bank, found = beside(6, None, np.zeros(ROWS))
+    bank, found = beside(6, None)
     np.testing.assert_allclose(found.own, bank.P, atol=1e-12)
     np.testing.assert_allclose(found.shared, np.broadcast_to(bank.P[0], found.shared.shape), atol=1e-12)
     np.testing.assert_allclose(found.separation(), bank.P - bank.P[:1], atol=1e-12)
@@ -95,7 +93,7 @@ def test_where_errors_are_smaller_than_the_gains_believe_the_joint_covariance_is
     root = np.diag(rng.uniform(0.2, 0.9, ROWS)) @ np.sqrt(R)
     root[1, 0] = 0.3
     actual = root @ root.T
-    bank, found = beside(epochs, actual, np.zeros(ROWS))
+    bank, found = beside(epochs, actual)
     # WHEN many are drawn
     truth, z = rng.standard_normal((runs, N)), []
     for f, q in steps(epochs):
@@ -120,8 +118,7 @@ def assert_covariance(samples: np.ndarray, want: np.ndarray) -> None:
 
 
 def test_members_are_taken_in_another_order() -> None:
-    _, found = beside(3, 0.5 * R, NOMINAL)
+    _, found = beside(3, 0.5 * R)
     other = found.take(np.array([2, 0, 2]))
-    for name in ("bias", "own", "shared"):
+    for name in ("own", "shared"):
         np.testing.assert_array_equal(getattr(other, name), getattr(found, name)[[2, 0, 2]])
-    assert other.keys == found.keys

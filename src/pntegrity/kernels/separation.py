@@ -12,7 +12,7 @@ that it was born with. It is carried along, since to take it out and put it back
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -42,14 +42,26 @@ class Subfilters:
         Mean of each member minus that of member 0.
     P : ndarray, shape (M, n, n)
         Covariances.
+    bias : ndarray, shape (M, c, n)
+        Error that each of c nominal biases of rows made.
     """
 
     delta: FloatArray
     P: FloatArray
+    bias: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+    def __post_init__(self) -> None:
+        if not self.bias.size:
+            object.__setattr__(self, "bias", np.zeros((len(self.delta), 0, self.delta.shape[1])))
 
     def take(self, source: IntArray, origin: int = 0) -> Subfilters:
         """Return members in another order or several times, their means relative to that of `origin`."""
-        return Subfilters(self.delta[source] - self.delta[origin], self.P[source])
+        return Subfilters(self.delta[source] - self.delta[origin], self.P[source], self.bias[source])
+
+    def with_biases(self, source: IntArray) -> Subfilters:
+        """Return the members with other biases: where each stood, -1 for one that begins."""
+        bias = np.concatenate([self.bias, np.zeros((len(self.bias), 1, self.bias.shape[2]))], axis=1)
+        return Subfilters(self.delta, self.P, bias[:, source])
 
 
 def replicate(P: FloatArray) -> Subfilters:
@@ -59,7 +71,7 @@ def replicate(P: FloatArray) -> Subfilters:
 
 def advance(
     bank: Subfilters, F: FloatArray, Q: FloatArray, H: FloatArray, R: FloatArray, nu: FloatArray,
-    used: BoolArray, source: IntArray | None = None, origin: int = 0,
+    used: BoolArray, source: IntArray | None = None, origin: int = 0, biases: FloatArray | None = None,
 ) -> Subfilters:  # fmt: skip
     """Return the bank after one epoch of the filter.
 
@@ -77,27 +89,31 @@ def advance(
     source : ndarray of int, shape (M,), optional
         Where each member stood in `bank`, and which member the filter goes on from; see `Subfilters.take`.
     origin : int
+    biases : ndarray, shape (c, m), optional
+        What each nominal bias of the bank adds to the rows.
     """
+    biases = np.zeros((0, len(nu))) if biases is None else biases
     source = np.arange(len(used)) if source is None else source
     if np.count_nonzero(R) > np.count_nonzero(np.diagonal(R)):
-        return _advance_dense(bank.take(source, origin), F, Q, H, R, nu, used)
+        return _advance_dense(bank.take(source, origin), F, Q, H, R, nu, used, biases)
     delta = bank.delta[source] - bank.delta[origin]
-    parts, noise, rows = nonzeros(F), nonzeros(Q), nonzeros(H)
-    mean, P = _advance(delta, bank.P, source, parts, noise, rows, np.diagonal(R).copy(), nu, used)
-    return Subfilters(mean - mean[0], P)
+    means = np.concatenate([delta[:, None], bank.bias[source]], axis=1)
+    parts, noise, rows, every = nonzeros(F), nonzeros(Q), nonzeros(H), np.concatenate([nu[None], biases])
+    means, P = _advance(means, bank.P, source, parts, noise, rows, np.diagonal(R).copy(), every, used)
+    return Subfilters(means[:, 0] - means[0, 0], P, means[:, 1:])
 
 
 @njit(cache=True, nogil=True)
 def _advance(
-    delta: FloatArray, P: FloatArray, place: IntArray, F: Sparse, Q: Sparse, H: Sparse, r: FloatArray,
+    means: FloatArray, P: FloatArray, place: IntArray, F: Sparse, Q: Sparse, H: Sparse, r: FloatArray,
     nu: FloatArray, used: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    count, n = len(used), len(F[0]) - 1
-    delta_new, P_new = np.empty((count, n)), np.empty((count, n, n))
+    """Return means, shape (M, 1 + c, n), that of the difference and those of biases, and covariances."""
+    count, n, columns = len(used), len(F[0]) - 1, len(nu)
+    means_new, P_new = np.empty((count, columns, n)), np.empty((count, n, n))
     source, scale = _sources(F, n)
     width = -(-n // WIDTH) * WIDTH
-    U, x, C = np.zeros((width, width)), np.zeros(width), np.zeros((n, width))
-    mean = left(F, delta.T.copy())
+    U, x, C = np.zeros((width, width)), np.zeros((columns, width)), np.zeros((n, width))
     for i in range(count):
         before = P[place[i]]
         if len(source):
@@ -107,11 +123,11 @@ def _advance(
         for a in range(n):
             for s in range(Q[0][a], Q[0][a + 1]):
                 U[a, Q[1][s]] += Q[2][s]
-        x[:n] = mean[:, i]
+        x[:, :n] = left(F, means[i].T.copy()).T
         _use_rows(U, x, H, r, nu, used[i], C)
         _mirrored(U, P_new[i])
-        delta_new[i] = x[:n]
-    return delta_new, P_new
+        means_new[i] = x[:, :n]
+    return means_new, P_new
 
 
 @njit(cache=True, nogil=True)
@@ -164,18 +180,21 @@ def _use_rows(
     U: FloatArray, x: FloatArray, H: Sparse, r: FloatArray, nu: FloatArray, used: BoolArray, C: FloatArray
 ) -> None:
     """Use rows, a few at a time; `U` (upper triangle) and `x` are changed in place."""
-    n = len(C)
+    n, width = len(C), x.shape[1]
     rows = np.flatnonzero(used)
-    G, residual, L = np.zeros((BLOCK, len(x))), np.empty(BLOCK), np.empty((BLOCK, BLOCK))
+    G, residual, L = np.zeros((BLOCK, width)), np.empty((len(x), BLOCK)), np.empty((BLOCK, BLOCK))
     place, mark = np.zeros(n, dtype=np.int64), np.full(n, -1, dtype=np.int64)
     for first in range(0, len(rows), BLOCK):
         few = rows[first : first + BLOCK]
         _project(U, x, H, nu, few, C, place, mark, G, residual)
         _root(H, r, few, G, L)
         _whiten(L, G, residual)
-        for j in range(len(few)):
-            for b in range(len(x)):
-                x[b] += residual[j] * G[j, b]
+        for c in range(len(x)):
+            for j in range(len(few)):
+                scaled = residual[c, j]
+                if scaled != 0.0:
+                    for b in range(width):
+                        x[c, b] += scaled * G[j, b]
         _take_off(U, G, -(-n // 4) * 4)
 
 
@@ -184,22 +203,25 @@ def _project(
     U: FloatArray, x: FloatArray, H: Sparse, nu: FloatArray, few: IntArray, C: FloatArray,
     place: npt.NDArray[np.int64], mark: npt.NDArray[np.int64], G: FloatArray, residual: FloatArray,
 ) -> None:  # fmt: skip
-    """Write ``H P`` and the innovations of a few rows, zeros where there are fewer than `G` has; of `U` the
-    upper triangle counts.
+    """Write ``H P`` and the innovations of a few rows, those of each bias too, zeros where there are fewer
+    than `G` has; of `U` the upper triangle counts.
 
     A column that several rows need is put together once: in the row `place` of `C`, where `mark` has the
     first of these rows.
     """
     n, count = len(C), 0
     G[len(few) :] = 0.0
-    residual[:] = 0.0
+    residual[:, :] = 0.0
     for j in range(len(few)):
         k = few[j]
         start, size = H[0][k], H[0][k + 1] - H[0][k]
-        v = nu[k]
+        for i in range(len(x)):
+            v = nu[i, k]
+            for s in range(start, start + size):
+                v -= H[2][s] * x[i, H[1][s]]
+            residual[i, j] = v
         for s in range(start, start + size):
             c = H[1][s]
-            v -= H[2][s] * x[c]
             if mark[c] != few[0]:
                 mark[c], place[c] = few[0], count
                 for a in range(c):
@@ -207,7 +229,6 @@ def _project(
                 for a in range(c, n):
                     C[count, a] = U[c, a]
                 count += 1
-        residual[j] = v
         _combine(H, start, size, C, place, G[j])
 
 
@@ -266,11 +287,13 @@ def _whiten(L: FloatArray, G: FloatArray, residual: FloatArray) -> None:
             pivot = L[j, i]
             for b in range(G.shape[1]):
                 G[j, b] -= pivot * G[i, b]
-            residual[j] -= pivot * residual[i]
+            for c in range(len(residual)):
+                residual[c, j] -= pivot * residual[c, i]
         scale = L[j, j]
         for b in range(G.shape[1]):
             G[j, b] *= scale
-        residual[j] *= scale
+        for c in range(len(residual)):
+            residual[c, j] *= scale
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -324,13 +347,15 @@ def gains(prior: FloatArray, H: FloatArray, R: FloatArray, used: BoolArray) -> F
 
 def _advance_dense(
     bank: Subfilters, F: FloatArray, Q: FloatArray, H: FloatArray, R: FloatArray, nu: FloatArray,
-    used: BoolArray,
+    used: BoolArray, biases: FloatArray,
 ) -> Subfilters:  # fmt: skip
     """Return the bank after an epoch whose rows have correlated errors."""
     prior = predicted(bank.P, F, Q)
     K = gains(prior, H, R, used)
     A = np.eye(len(Q)) - K @ H
     P = A @ prior @ np.swapaxes(A, 1, 2) + K @ R @ np.swapaxes(K, 1, 2)
-    mean = bank.delta @ F.T
-    mean = mean + np.einsum("inm,im->in", K, nu - mean @ H.T)
-    return Subfilters(mean - mean[0], 0.5 * (P + np.swapaxes(P, 1, 2)))
+    mean = np.concatenate([bank.delta[:, None], bank.bias], axis=1) @ F.T
+    every = np.concatenate([nu[None], biases])
+    mean = mean + (every - mean @ H.T) @ np.swapaxes(K, 1, 2)
+    P = 0.5 * (P + np.swapaxes(P, 1, 2))
+    return Subfilters(mean[:, 0] - mean[0, 0], P, mean[:, 1:])

@@ -51,7 +51,7 @@ class Spread:
     bias: FloatArray
 
     @staticmethod
-    def of(axes: FloatArray, apart: FloatArray, P: FloatArray, born: FloatArray) -> Spread:
+    def of(axes: FloatArray, apart: FloatArray, P: FloatArray, born: FloatArray, bias: FloatArray) -> Spread:
         """Return the spread of members in the directions of `axes`.
 
         Parameters
@@ -62,22 +62,21 @@ class Spread:
         P : ndarray, shape (members, k, k)
         born : ndarray, shape (members,)
             Variance with which the position was born, where rows have not determined it since; else inf.
+        bias : ndarray, shape (members, c, k)
+            What each of c nominal biases made of the position: the worst signs count.
         """
         variance = np.einsum("da,iab,db->id", axes, P, axes)
         variance = np.where(_undetermined(axes, P, born), inf, variance)
         separation = np.maximum(variance - variance[:1], 0.0) if np.isfinite(variance[0]).all() else variance
-        return Spread(apart @ axes.T, variance, separation, np.zeros_like(variance))
+        return Spread(apart @ axes.T, variance, separation, np.abs(bias @ axes.T).sum(axis=1))
 
     def refined(self, axes: FloatArray, beside: Companions, position: npt.NDArray[np.intp]) -> Spread:
-        """Return the spread with exact separations, and nominal biases, of the members that these are
-        beside.
-        """
+        """Return the spread with exact separations of the first members, which these are beside."""
         few = len(beside.own)
         apart = beside.separation()[:, position[:, None], position]
-        separation, bias = self.separation.copy(), self.bias.copy()
+        separation = self.separation.copy()
         separation[:few] = np.maximum(np.einsum("da,iab,db->id", axes, apart, axes), 0.0)
-        bias[:few] = np.abs(axes @ beside.bias[:, position]).sum(axis=2)
-        return replace(self, separation=np.where(np.isfinite(self.variance), separation, inf), bias=bias)
+        return replace(self, separation=np.where(np.isfinite(self.variance), separation, inf))
 
     def testable(self, rows: slice) -> npt.NDArray[np.bool_]:
         """Return where a separation can be told from rounding."""

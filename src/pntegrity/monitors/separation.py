@@ -18,7 +18,7 @@ from pntegrity.monitors._members import Cast, Member, Sources, cast_of, in_order
 from pntegrity.monitors._options import check_test
 from pntegrity.monitors._suspects import suspects_of
 from pntegrity.monitors._window import no_redundancy, unavailable
-from pntegrity.records import FloatArray, Layout, State, Update, Verdict
+from pntegrity.records import FloatArray, Layout, State, Update, Verdict, group_of
 
 BoolArray = npt.NDArray[np.bool_]
 #: What a group that is out of view moves the position by, in standard deviations, to be remembered.
@@ -35,7 +35,8 @@ class SeparationMemory:
 
     `groups` are those in view or not yet forgotten, `where_m` the last position. Of each member `began_ns` is
     when what it is without was left out (or since ever, when the bank began), and `born_m2` the variance with
-    which its position was born, where rows have not determined it since. `ordered`: see `cast_of`.
+    which its position was born, where rows have not determined it since. `ordered`: see `cast_of`. `biased`
+    are the rows with a nominal bias that the bank carries.
     """
 
     t_ns: int = 0
@@ -47,6 +48,7 @@ class SeparationMemory:
     born_m2: FloatArray = field(default_factory=lambda: np.zeros(0))
     where_m: FloatArray = field(default_factory=lambda: np.zeros(0))
     ordered: bool = False
+    biased: tuple[str, ...] = ()
     beside: Companions | None = None
 
 
@@ -188,8 +190,11 @@ class Separation:
         step = self._into(memory, update, cast)
         used = used_rows(cast, update.keys)
         at = in_order(update.keys)  # the same sums whatever the order of the rows is
+        biased, before, biases = self._biases(
+            step.bank, memory.biased if follows else (), update.keys, groups
+        )
         rows = update.H[at], update.R[np.ix_(at, at)], update.nu[at], used[:, at]
-        bank = advance(step.bank, step.F, step.Q, *rows, step.sources.member, step.sources.origin)
+        bank = advance(before, step.F, step.Q, *rows, step.sources.member, step.sources.origin, biases[:, at])
         position = update.posterior.layout.block("pos")
         born = (
             still_born(bank.P[:, position[:, None], position], step.born_m2)
@@ -198,7 +203,8 @@ class Separation:
         )
         return cast, SeparationMemory(
             update.t_ns, update.posterior.layout, cast.members, bank, groups, step.began_ns, born,
-            update.posterior.mean[position], ordered, self._beside(step, update, used),
+            update.posterior.mean[position], ordered, biased,
+            self._beside(step, update, used[: 1 + len(cast.faults.monitored)]),
         )  # fmt: skip
 
     def _into(self, memory: SeparationMemory, update: Update, cast: Cast) -> _Step:
@@ -209,18 +215,39 @@ class Separation:
         found = sources(memory.members, cast.members, without, memory.ordered)
         began = np.where(found.whole, memory.began_ns[found.member], update.t_ns)
         born = _born(update, update.Q, memory.born_m2[found.member])
-        beside = memory.beside.take(found.member, found.origin) if memory.beside is not None else None
+        few, beside = found.member[: 1 + len(cast.faults.monitored)], memory.beside
+        known = beside is not None and few.max() < len(beside.own)  # that of a pair begins: one model
+        beside = beside.take(few, found.origin) if beside is not None and known else None
         return _Step(memory.bank, update.F, update.Q, found, began, born, beside)
 
     def _beside(self, step: _Step, update: Update, used: BoolArray) -> Companions | None:
-        """Return what goes beside the members after `update`."""
-        nominal = self._nominal(update.keys)
-        if step.beside is None and update.R_accuracy is None and not nominal.any():
+        """Return what goes beside the filter and the monitored modes after `update`."""
+        if step.beside is None and update.R_accuracy is None:
             return None
+        few = step.bank.take(step.sources.member[: len(used)], step.sources.origin)
         return accompany(
-            step.beside, step.bank.take(step.sources.member, step.sources.origin), step.F, step.Q, update.H,
-            update.R, update.R_accuracy, nominal, update.keys, used,
+            step.beside, few, step.F, step.Q, update.H, update.R, update.R_accuracy, used
         )  # fmt: skip
+
+    def _biases(
+        self, bank: Subfilters, old: tuple[str, ...], keys: tuple[str, ...], groups: tuple[str, ...]
+    ) -> tuple[tuple[str, ...], Subfilters, FloatArray]:
+        """Return the rows with a nominal bias, the bank with theirs, and what they add to the rows, (c, m).
+
+        Those of groups that are forgotten go.
+        """
+        nominal = self._nominal(keys)
+        here = {k: (i, b) for i, (k, b) in enumerate(zip(keys, nominal.tolist(), strict=True)) if b}
+        stay = [k for k in old if group_of(k) in groups]
+        biased = (*stay, *(k for k in here if k not in stay))
+        if not biased:
+            return (), bank, np.zeros((0, len(keys)))
+        out = np.zeros((len(biased), len(keys)))
+        for c, key in enumerate(biased):
+            if key in here:
+                out[c, here[key][0]] = here[key][1]
+        stood = np.array([old.index(k) if k in old else -1 for k in biased], dtype=np.intp)
+        return biased, bank.with_biases(stood), out
 
     def _events(self, memory: SeparationMemory, groups: frozenset[str]) -> Member:
         """Return the names of the events behind groups that are left out."""
@@ -249,7 +276,8 @@ class Separation:
             sigma = float(np.sqrt(np.trace(P[0])))
             track = track_axes(axes, after.where_m - memory.where_m, max(COURSE_M, COURSE_SIGMA * sigma))
             axes = axes if track is None else np.concatenate([axes, track])
-        spread = Spread.of(axes, bank.delta[:, position], P, after.born_m2)
+        bias = bank.bias[:, :, position]
+        spread = Spread.of(axes, bank.delta[:, position], P, after.born_m2, bias)
         return spread if after.beside is None else spread.refined(axes, after.beside, position)
 
     def _judge(self, spread: Spread, cast: Cast, update: Update, since_ns: int) -> Verdict:
