@@ -321,14 +321,16 @@ class Update:
         )  # fmt: skip
 
     def misfit(self, rows: npt.NDArray[np.intp]) -> float:
-        """Return how far rows left out are off together, in standard deviations of a normal as improbable.
+        """Return how far rows left out are off, together or the worst of them alone, in standard deviations
+        of a normal as improbable.
 
         Parameters
         ----------
         rows : ndarray of int
             Which of `spare_keys`.
         """
-        return deviation_of(self.misfit_square(rows), len(rows))
+        alone = float(np.max(np.abs(self.spare_nu[rows]) / np.sqrt(self.spare_var[rows]), initial=0.0))
+        return max(alone, deviation_of(self.misfit_square(rows), len(rows)))
 
     def misfit_square(self, rows: npt.NDArray[np.intp], expected: FloatArray | float = 0.0) -> float:
         """Return the sum of squares of residuals of rows left out, less what was expected, whitened
