@@ -76,7 +76,14 @@ def spread_of(own: FloatArray) -> Any:
     from pntegrity.monitors._levels import Spread
 
     n = len(own)
-    return Spread.of(np.eye(3), np.zeros((n, 3)), own[:, :3, :3], np.full(n, np.inf), np.zeros((n, 0, 3)))
+    return Spread.of(
+        np.eye(3),
+        np.zeros((n, 3)),
+        own[:, :3, :3],
+        np.full(n, np.inf),
+        np.zeros((n, 0, 3)),
+        np.zeros(n, bool),
+    )
 
 
 @pytest.mark.parametrize("version", VECTORS)

@@ -51,7 +51,10 @@ class Spread:
     bias: FloatArray
 
     @staticmethod
-    def of(axes: FloatArray, apart: FloatArray, P: FloatArray, born: FloatArray, bias: FloatArray) -> Spread:
+    def of(
+        axes: FloatArray, apart: FloatArray, P: FloatArray, born: FloatArray, bias: FloatArray,
+        loose: npt.NDArray[np.bool_],
+    ) -> Spread:  # fmt: skip
         """Return the spread of members in the directions of `axes`.
 
         Parameters
@@ -64,10 +67,15 @@ class Spread:
             Variance with which the position was born, where rows have not determined it since; else inf.
         bias : ndarray, shape (members, c, k)
             What each of c nominal biases made of the position: the worst signs count.
+        loose : ndarray of bool, shape (members,)
+            Members that are no part of the filter: of their separations only a bound is known, the largest
+            that two errors of these sizes can have, whatever they share.
         """
         variance = np.einsum("da,iab,db->id", axes, P, axes)
         variance = np.where(_undetermined(axes, P, born), inf, variance)
-        separation = np.maximum(variance - variance[:1], 0.0) if np.isfinite(variance[0]).all() else variance
+        whole = np.isfinite(variance[0]).all()
+        separation = np.maximum(variance - variance[:1], 0.0) if whole else variance.copy()
+        separation[loose] = (np.sqrt(variance[loose]) + np.sqrt(variance[0])) ** 2
         return Spread(apart @ axes.T, variance, separation, np.abs(bias @ axes.T).sum(axis=1))
 
     def refined(self, axes: FloatArray, beside: Companions, position: npt.NDArray[np.intp]) -> Spread:

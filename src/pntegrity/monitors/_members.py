@@ -108,15 +108,18 @@ class Sources:
     Parameters
     ----------
     member : ndarray of int, shape (M,)
-        The member of the bank before that each goes on from; what it knows, the filter knows.
+        The member of the bank before that each goes on from.
     whole : ndarray of bool, shape (M,)
         Whether that one has been without all the same events; else what is missing is left out from now on.
+    loose : ndarray of bool, shape (M,)
+        Whether it knows what the filter, which goes over to another one, does not.
     origin : int
         The one that the filter goes on from.
     """
 
     member: IntArray
     whole: npt.NDArray[np.bool_]
+    loose: npt.NDArray[np.bool_]
     origin: int
 
 
@@ -125,6 +128,9 @@ def sources(
     old: tuple[Member, ...], new: tuple[Member, ...], without: Member = (), ordered: bool = False
 ) -> Sources:
     """Return where members come from, where the filter goes over to the member without the events `without`.
+
+    The first choice is the member without the same events and without those. Where there is none, it is the
+    one that has been without the same event, which is loose then; and of two events that without the first.
 
     Parameters
     ----------
@@ -136,19 +142,26 @@ def sources(
     where = {m: i for i, m in enumerate(old)}
     known = {m[0] for m in old if len(m) == 1}  # what nobody has used yet, nobody needs to do without
 
-    def find(rest: Member) -> tuple[int, bool]:
-        for k in range(len(rest), -1, -1):
-            for first in permutations(without):
-                name = first + rest[:k]
-                at = where.get(name if ordered else tuple(sorted(name)))
-                if at is not None:
-                    return at, k == len(rest)
-        return where.get(without[:1], 0), False
+    def exact(rest: Member) -> int | None:
+        names = (first + rest for first in permutations(without))
+        found = (where.get(n if ordered else tuple(sorted(n))) for n in names)
+        return next((at for at in found if at is not None), None)
+
+    def find(rest: Member) -> tuple[int, bool, bool]:
+        at = exact(rest)
+        late = (
+            ordered and without and rest
+        )  # then the second event of a pair was left out since a switch only
+        if at is not None and not late:
+            return at, True, False
+        if len(rest) > 1:
+            first, _, loose = find(rest[:1])
+            return first, False, loose
+        return (where[rest], True, True) if rest in where else (where.get(without[:1], 0), False, False)
 
     found = [find(tuple(e for e in m if e in known and e not in without)) for m in new]
-    member, whole = (
-        np.array([i for i, _ in found], dtype=np.intp),
-        np.array([w for _, w in found], dtype=bool),
-    )
-    member.flags.writeable = whole.flags.writeable = False
-    return Sources(member, whole, find(())[0])
+    member = np.array([f[0] for f in found], dtype=np.intp)
+    whole, loose = (np.array([f[k] for f in found], dtype=bool) for k in (1, 2))
+    for a in (member, whole, loose):
+        a.flags.writeable = False
+    return Sources(member, whole, loose, find(())[0])

@@ -35,7 +35,8 @@ class SeparationMemory:
 
     `groups` are those in view or not yet forgotten, `where_m` the last position. Of each member `began_ns` is
     when what it is without was left out (or since ever, when the bank began), and `born_m2` the variance with
-    which its position was born, where rows have not determined it since. `ordered`: see `cast_of`. `biased`
+    which its position was born, where rows have not determined it since; `loose`: it is no part of the filter
+    (see `Sources`). `ordered`: see `cast_of`. `biased`
     are the rows with a nominal bias that the bank carries.
     """
 
@@ -47,6 +48,7 @@ class SeparationMemory:
     began_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     born_m2: FloatArray = field(default_factory=lambda: np.zeros(0))
     where_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    loose: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     ordered: bool = False
     biased: tuple[str, ...] = ()
     beside: Companions | None = None
@@ -62,6 +64,7 @@ class _Step:
     sources: Sources
     began_ns: npt.NDArray[np.int64]
     born_m2: FloatArray
+    loose: BoolArray
     beside: Companions | None = None
 
 
@@ -203,7 +206,7 @@ class Separation:
         )
         return cast, SeparationMemory(
             update.t_ns, update.posterior.layout, cast.members, bank, groups, step.began_ns, born,
-            update.posterior.mean[position], ordered, biased,
+            update.posterior.mean[position], step.loose, ordered, biased,
             self._beside(step, update, used[: 1 + len(cast.faults.monitored)]),
         )  # fmt: skip
 
@@ -218,7 +221,8 @@ class Separation:
         few, beside = found.member[: 1 + len(cast.faults.monitored)], memory.beside
         known = beside is not None and few.max() < len(beside.own)  # that of a pair begins: one model
         beside = beside.take(few, found.origin) if beside is not None and known else None
-        return _Step(memory.bank, update.F, update.Q, found, began, born, beside)
+        loose = memory.loose[found.member] | found.loose
+        return _Step(memory.bank, update.F, update.Q, found, began, born, loose, beside)
 
     def _beside(self, step: _Step, update: Update, used: BoolArray) -> Companions | None:
         """Return what goes beside the filter and the monitored modes after `update`."""
@@ -277,7 +281,7 @@ class Separation:
             track = track_axes(axes, after.where_m - memory.where_m, max(COURSE_M, COURSE_SIGMA * sigma))
             axes = axes if track is None else np.concatenate([axes, track])
         bias = bank.bias[:, :, position]
-        spread = Spread.of(axes, bank.delta[:, position], P, after.born_m2, bias)
+        spread = Spread.of(axes, bank.delta[:, position], P, after.born_m2, bias, after.loose)
         return spread if after.beside is None else spread.refined(axes, after.beside, position)
 
     def _judge(self, spread: Spread, cast: Cast, update: Update, since_ns: int) -> Verdict:
@@ -320,10 +324,11 @@ def _follows(memory: SeparationMemory, update: Update) -> bool:
 def _beginning(update: Update, cast: Cast) -> _Step:
     """Return the step of a bank that begins: all members know what the filter knows before `update`."""
     n, count = len(update.prior), len(cast.members)
-    none = Sources(np.zeros(count, dtype=np.intp), np.ones(count, dtype=bool), 0)
+    nobody = np.zeros(count, dtype=bool)
+    none = Sources(np.zeros(count, dtype=np.intp), ~nobody, nobody, 0)
     began = np.full(count, update.t_ns, dtype=np.int64)
     born = _born(update, update.prior.P, np.full(count, np.inf))
-    return _Step(replicate(update.prior.P), np.eye(n), np.zeros((n, n)), none, began, born)
+    return _Step(replicate(update.prior.P), np.eye(n), np.zeros((n, n)), none, began, born, nobody)
 
 
 def _born(update: Update, P: FloatArray, before: FloatArray) -> FloatArray:
