@@ -14,13 +14,12 @@ from pntegrity.kernels.subsets import search
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.records import FloatArray, Suspect, Update, Verdict, group_of
 from pntegrity.states import ANEW, is_left_out
+from pntegrity.verdicts import SEPARATION
 
 #: First parts of the names of the states that all rows of an epoch share.
 COMMON = ("pos", "vel", "clk", "drift")
 #: Twice the log-likelihood by which one explanation must beat another to be preferred.
 MARGIN = 9.0
-#: Kind of the suspects of a monitor that carries subfilters: the filter goes over to theirs.
-SEPARATION = "separation"
 #: Share of what was learnt of a fault's persistence that is kept from epoch to epoch.
 FORGETTING = 0.9
 #: A group whose residuals are this many standard deviations off is at fault.
@@ -340,37 +339,33 @@ def left_out(standing: Mapping[str, Standing]) -> frozenset[str]:
     return frozenset(standing) | {g + ANEW for g, s in standing.items() if s.anew}
 
 
-def _misfits(update: Update, group: str) -> tuple[float, float] | None:
-    """Return how far a group that is left out is off, products about it included, in sigmas: all its rows
-    together, and all but its carriers; None where it has none.
+def _spare_rows(update: Update, group: str) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return which rows left out are those of a group, products about it included, and which of them are no
+    carriers.
     """
     out = frozenset([group])
     rows = [i for i, key in enumerate(update.spare_keys) if is_left_out(key, out)]
-    if not rows:
-        return None
     levels = [i for i in rows if not is_carrier(update.spare_keys[i])]
-    whole = update.misfit(np.array(rows, dtype=np.intp))
-    some = 0 < len(levels) < len(rows)
-    return whole, update.misfit(np.array(levels, dtype=np.intp)) if some else whole
+    return np.array(rows, dtype=np.intp), np.array(levels, dtype=np.intp)
 
 
 def _reviewed(
     s: Standing, update: Update, group: str, present: bool, policy: Policy, step_s: float
 ) -> Standing | None:
-    t_ns, found = update.t_ns, _misfits(update, group)
-    gain = _gain(s, update, group)
-    if found is None:
+    t_ns, (rows, levels) = update.t_ns, _spare_rows(update, group)
+    if not len(rows):
         gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
         seen_ns = t_ns if present else s.seen_ns
         return None if gone else replace(s, clean_ns=None, level_ns=None, anew=False, seen_ns=seen_ns)
-    whole, level = found
+    gain = _gain(s, update, levels)
+    whole = update.misfit(rows)
+    level = update.misfit(levels) if 0 < len(levels) < len(rows) else whole
     s = replace(s, doubtful=s.doubtful and whole <= CONFIRMED)
     needed = max(policy.proof_s, policy.proof_epochs * step_s) * 2.0 ** (min(s.times, 5) - 1)
     since = s.level_ns if s.level_ns is not None else t_ns
     level_ns = since if level <= policy.proof_sigma else None
     if whole > policy.proof_sigma:
-        anew = level_ns is not None and (t_ns - level_ns) * 1e-9 >= needed
-        anew = anew and gain <= 0.0
+        anew = level_ns is not None and (t_ns - level_ns) * 1e-9 >= needed and gain <= 0.0
         level_ns = None if anew else level_ns
         return replace(s, seen_ns=t_ns, clean_ns=None, level_ns=level_ns, anew=anew, gain=gain)
     clean = t_ns if s.clean_ns is None else s.clean_ns
@@ -379,11 +374,11 @@ def _reviewed(
     return replace(s, seen_ns=t_ns, clean_ns=clean, level_ns=level_ns, anew=False, gain=gain)
 
 
-def _gain(s: Standing, update: Update, group: str) -> float:
-    """Return by how much the residuals favour the fault as it was to none, summed over the last epochs."""
-    size, out = dict(s.rows), frozenset([group])
-    told = [i for i, k in enumerate(update.spare_keys) if is_left_out(k, out) and not is_carrier(k)]
-    rows = np.array(told, dtype=np.intp)
+def _gain(s: Standing, update: Update, rows: npt.NDArray[np.intp]) -> float:
+    """Return by how much the residuals of rows favour the fault as it was to none, summed over the last
+    epochs.
+    """
+    size = dict(s.rows)
     fault = np.array([size.get(update.spare_keys[i], 0.0) for i in rows])
     if not fault.any():
         return 0.0

@@ -226,10 +226,10 @@ class Pipeline:
 
     def _without(self, now: Checkpoint, state: State, groups: frozenset[str]) -> State:
         """Return the last belief of the filter that never knew some groups."""
-        carriers = [(m, memory) for m, memory in zip(self.monitors, now.memories, strict=True)
-                    if isinstance(m, Switching)]  # fmt: skip
-        for monitor, memory in carriers[:1] if groups and len(state) else ():
-            state = monitor.subfilter(memory, state, groups)
+        if groups and len(state):
+            for monitor, memory in zip(self.monitors, now.memories, strict=True):
+                if isinstance(monitor, Switching):
+                    return monitor.subfilter(memory, state, groups)
         return state
 
     def _judge(self, memories: Sequence[Any], update: Update) -> tuple[tuple[Verdict, ...], tuple[Any, ...]]:

@@ -5,6 +5,7 @@ Symbols as in `pntegrity.records`, which gives these names on.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property, lru_cache
@@ -17,6 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
     "ANEW", "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out",
+    "is_satellite",
     "rows_touched_by",
 ]  # fmt: skip
 
@@ -26,6 +28,14 @@ def group_of(key: str) -> str:
     ``"G05"``).
     """
     return key.partition(":")[0]
+
+
+_SATELLITE = re.compile(r"[A-Z]\d\d")
+
+
+def is_satellite(group: str) -> bool:
+    """Tell whether a group is a satellite: a letter and two digits (``"G05"``)."""
+    return _SATELLITE.fullmatch(group) is not None
 
 
 ANEW = "~"

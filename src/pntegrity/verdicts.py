@@ -11,9 +11,11 @@ from typing import Literal
 
 import numpy as np
 
-__all__ = ["Bound", "Status", "Suspect", "Verdict", "join_reasons"]
+__all__ = ["SEPARATION", "Bound", "Status", "Suspect", "Verdict", "join_reasons"]
 
 Status = Literal["ok", "alert", "unavailable"]
+SEPARATION = "separation"
+"""Kind of the suspects of a monitor that carries subfilters: the filter goes over to theirs."""
 
 
 @dataclass(frozen=True)

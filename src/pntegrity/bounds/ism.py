@@ -9,10 +9,10 @@ from math import isfinite
 from numbers import Real
 from typing import Any
 
-__all__ = ["SATELLITE", "Ism"]
+from pntegrity.states import is_satellite
 
-#: Names of groups that are satellites.
-SATELLITE = re.compile(r"[A-Z]\d\d")
+__all__ = ["Ism"]
+
 Three = tuple[float, float, float]
 SPLIT = (0.25, 0.25, 0.5)
 
@@ -117,7 +117,7 @@ class Ism:
     def _check_groups(self) -> None:
         _check("p_sat + p_dcb + p_iono_sat + p_user", self._of_any(self.p_sat, True), 0.0, 1.0)
         for name, p in self.satellites:
-            if not SATELLITE.fullmatch(name):
+            if not is_satellite(name):
                 raise ValueError(f"`satellites` must name satellites such as G05, not {name!r}")
             _check(f"satellites.{name}", p, 0.0, 1.0)
         for letter, p_sat, p_all in self.constellations:

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import prod
 
-from pntegrity.bounds.ism import SATELLITE, Ism
+from pntegrity.bounds.ism import Ism
+from pntegrity.states import is_satellite
 
 __all__ = ["Event", "FaultModes", "Mode", "events_of", "fault_modes"]
 
@@ -76,14 +77,14 @@ def events_of(ism: Ism, groups: tuple[str, ...]) -> tuple[Event, ...]:
         ``"G05"`` (a satellite: a letter and two digits), ``"trop"``, ``"iono"``, or any other.
     """
     groups = tuple(sorted(set(groups)))
-    satellites = tuple(g for g in groups if SATELLITE.fullmatch(g))
+    satellites = tuple(g for g in groups if is_satellite(g))
     events = [_event(ism, g, "iono" in groups) for g in groups]
     events += [_constellation(ism, c, satellites) for c in sorted({s[0] for s in satellites})]
     return tuple(sorted((e for e in events if e.probability > 0.0), key=lambda e: e.name))
 
 
 def _event(ism: Ism, group: str, products: bool) -> Event:
-    if SATELLITE.fullmatch(group):
+    if is_satellite(group):
         return Event(group, (f"{group}:*", f"*:{group}"), ism.satellite(group, products), (group,))
     probability = {"trop": ism.p_trop, "iono": ism.p_iono}.get(group, ism.p_other)
     return Event(group, (f"{group}:*",), probability, (group,))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-__all__ = ["local_axes", "track_axes"]
+__all__ = ["axes_at", "local_axes", "track_axes"]
 
 #: WGS 84: semi-major axis, m, and flattening.
 A_M, FLATTENING = 6378137.0, 1.0 / 298.257223563
@@ -36,8 +36,14 @@ def _axes(x: float, y: float, z: float) -> FloatArray:
     beta = atan2(z * A_M, p * b)
     e2 = FLATTENING * (2.0 - FLATTENING)
     lat = atan2(z + e2 / (1.0 - e2) * b * sin(beta) ** 3, p - e2 * A_M * cos(beta) ** 3)
-    lon = atan2(y, x)
-    (sp, cp), (sl, cl) = (sin(lat), cos(lat)), (sin(lon), cos(lon))
+    return axes_at(lat, atan2(y, x))
+
+
+def axes_at(lat_rad: float, lon_rad: float) -> FloatArray:
+    """Return the unit vectors east, north and up at a geodetic latitude and longitude, shape (3, 3),
+    read-only.
+    """
+    (sp, cp), (sl, cl) = (sin(lat_rad), cos(lat_rad)), (sin(lon_rad), cos(lon_rad))
     out = np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
     out.flags.writeable = False
     return out

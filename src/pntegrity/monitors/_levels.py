@@ -88,8 +88,11 @@ class Spread:
 
     def testable(self, rows: slice) -> npt.NDArray[np.bool_]:
         """Return where a separation can be told from rounding."""
-        s = self.separation[rows]
-        return np.asarray(np.isfinite(s) & (s > ROUNDING * self.variance[0]))
+        return self.tells(self.separation[rows])
+
+    def tells(self, variance: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return where the variance of a difference, shape (n, directions), is more than rounding."""
+        return np.asarray(np.isfinite(variance) & (variance > ROUNDING * self.variance[0]))
 
 
 def _undetermined(axes: FloatArray, P: FloatArray, born: FloatArray) -> npt.NDArray[np.bool_]:
@@ -147,16 +150,16 @@ def bound_of(spread: Spread, cast: Cast, ism: Ism, threshold: FloatArray, since_
     faults, p = cast.faults, cast.probability
     modes = slice(1, 1 + len(p))
     sigma, bias = np.sqrt(spread.variance), spread.bias
-    risk = max(ism.p_hmi - faults.unmonitored, 0.0) / ism.independent_epochs
+    risks = shares(ism.risks(faults.unmonitored), sigma.shape[1])
     levels, least, names = [], [], []
-    for q, share in enumerate(shares(ism.split, sigma.shape[1]).tolist()):
+    for q, risk in enumerate(risks.tolist()):
         facts = (p, sigma[modes, q], bias[modes, q], threshold[:, q])
-        level = protection_level(share * risk, sigma[0, q], bias[0, q], *facts)
+        level = protection_level(risk, sigma[0, q], bias[0, q], *facts)
         levels.append(level)
         if q < 3:
             ss = np.sqrt(spread.separation[modes, q])
             ss = np.where(np.isfinite(sigma[modes, q]), ss, inf)
-            least.append(least_level(share * risk, sigma[0, q], p, ss, threshold[:, q]))
+            least.append(least_level(risk, sigma[0, q], p, ss, threshold[:, q]))
             worst = dominant_mode(level, sigma[0, q], bias[0, q], *facts)
             names.append(faults.monitored[worst].name if worst >= 0 else "")
     along, cross = levels[3:] if len(levels) > 3 else (None, None)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pntegrity.monitors._levels import ROUNDING, Spread
+from pntegrity.monitors._levels import Spread
 from pntegrity.monitors._members import Cast
 from pntegrity.records import FloatArray, Suspect, Update
+from pntegrity.verdicts import SEPARATION
 
 __all__ = ["suspects_of"]
 
@@ -30,7 +31,7 @@ def suspects_of(
         groups = tuple(g for g in event.groups if g in update.groups())
         if groups and np.isfinite(statistic[i]):
             size = float(np.abs(spread.apart[cast.single[i], :3]).max())
-            found.append(Suspect(groups, "separation", size, update.t_ns, float(statistic[i])))
+            found.append(Suspect(groups, SEPARATION, size, update.t_ns, float(statistic[i])))
     return tuple(s for s in found if not _holds_another(s, found))[:MOST]
 
 
@@ -61,6 +62,6 @@ def _retests(spread: Spread, cast: Cast, K: FloatArray) -> FloatArray:
 
 
 def _ratios(apart: FloatArray, variance: FloatArray, spread: Spread, K: FloatArray) -> FloatArray:
-    testable = np.isfinite(variance) & (variance > ROUNDING * spread.variance[0])
+    testable = spread.tells(variance)
     allowed = K * np.sqrt(np.where(testable, variance, 1.0))
     return np.asarray(np.where(testable, np.abs(apart) / allowed, 0.0).max(axis=1))

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.kernels.axes import axes_at
 from pntegrity.records import FloatArray
 
 __all__ = [
@@ -78,10 +79,7 @@ def enu_rotations(positions_m: FloatArray) -> FloatArray:
 @lru_cache(maxsize=64)
 def _rotation(x_m: float, y_m: float, z_m: float) -> FloatArray:
     lat, lon, _ = geodetic_of(x_m, y_m, z_m)
-    (sp, cp), (sl, cl) = (math.sin(lat), math.cos(lat)), (math.sin(lon), math.cos(lon))
-    out = np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
-    out.flags.writeable = False
-    return out
+    return axes_at(lat, lon)
 
 
 def elevation_azimuth(receiver_m: npt.ArrayLike, los: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,6 +17,7 @@ import numpy as np
 from pntegrity.kernels.signatures import family_of, is_rate
 from pntegrity.physics.time import from_iso, to_iso
 from pntegrity.records import Epoch, FloatArray, group_of
+from pntegrity.states import is_satellite
 
 __all__ = [
     "GRAMMAR",
@@ -44,7 +45,6 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ns": 0.299792458, "us":
 _UNIT = re.compile(r"(km|cm|mm|ns|us|m)(/s(?:\^?2|²)?)?$")
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _TARGET = re.compile(r"(\*|[A-Za-z]+\d*\*?)(?::(\S+))?$")
-_SATELLITE = re.compile(r"[A-Z]\d\d$")
 _ORDERS = {"bias": (0,), "ramp": (1,), "sine": (0,), "clock-drift": (1, 2)}
 
 
@@ -105,7 +105,7 @@ class Fault:
             return False
         if self.signals:
             return self.signals == "*" or signal.startswith(self.signals)
-        return signal.startswith("C") if _SATELLITE.match(group) else not is_rate(key)
+        return signal.startswith("C") if is_satellite(group) else not is_rate(key)
 
     def hits(self, groups: Iterable[str]) -> frozenset[str]:
         """Return which of `groups` are at fault."""
