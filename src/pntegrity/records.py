@@ -24,11 +24,11 @@ from pntegrity.kernels.linear import cholesky, correct_covariance, gain, whiten
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.kernels.tails import deviation_of, joint_square
 from pntegrity.states import FloatArray, Layout, Prior, State, freeze, frozen, group_of
-from pntegrity.verdicts import Bound, Status, Suspect, Verdict, join_reasons
+from pntegrity.verdicts import Bound, Screening, Status, Suspect, Verdict, join_reasons
 
 __all__ = [
-    "Bound", "Epoch", "FloatArray", "Layout", "Observation", "Prior", "State", "Status", "Suspect", "Update",
-    "Verdict", "group_of", "join_reasons",
+    "Bound", "Epoch", "FloatArray", "Inertial", "Layout", "Observation", "Prior", "Screening", "State",
+    "Status", "Suspect", "Update", "Verdict", "group_of", "join_reasons",
 ]  # fmt: skip
 
 
@@ -87,12 +87,50 @@ class Observation:
 
 
 @dataclass(frozen=True, eq=False)
+class Inertial:
+    """What an inertial measurement unit felt between two instants: increments, one after the other.
+
+    Parameters
+    ----------
+    t_ns : ndarray of int64, shape (n,)
+        End of each increment, ns of GPS time, rising; an increment begins where the one before it ends.
+    dt_s : ndarray, shape (n,)
+        Duration of each.
+    angle_rad : ndarray, shape (n, 3)
+        Angular rate with respect to inertial space, integrated; body axes forward, right, down.
+    velocity_mps : ndarray, shape (n, 3)
+        Specific force, integrated; the same axes.
+    reason : str
+        Why the increments do not reach from one instant to the other (a gap of the file), where they do not.
+    """
+
+    t_ns: npt.NDArray[np.int64]
+    dt_s: FloatArray
+    angle_rad: FloatArray
+    velocity_mps: FloatArray
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        freeze(self, "dt_s", "angle_rad", "velocity_mps")
+        t_ns = np.asarray(self.t_ns, dtype=np.int64).view()
+        t_ns.flags.writeable = False
+        object.__setattr__(self, "t_ns", t_ns)
+        n = len(t_ns)
+        if self.dt_s.shape != (n,) or self.angle_rad.shape != (n, 3) or self.velocity_mps.shape != (n, 3):
+            raise ValueError("`t_ns`, `dt_s`, `angle_rad` and `velocity_mps` must have the same length")
+
+
+@dataclass(frozen=True, eq=False)
 class Epoch:
-    """All observations of one instant, and what was dropped on the way to it (`notes`: reasons, in words)."""
+    """All observations of one instant, and what was dropped on the way to it (`notes`: reasons, in words).
+
+    `imu` holds the increments since the epoch before, where there is an inertial measurement unit.
+    """
 
     t_ns: int
     observations: tuple[Observation, ...] = ()
     notes: tuple[str, ...] = ()
+    imu: Inertial | None = None
 
     def sensor(self, name: str) -> Observation | None:
         """Return the observation of sensor `name`, or None."""
@@ -138,7 +176,9 @@ class Update:
         Rows that were left out: names, residuals against `posterior`, their variances, and with each other
         their covariance, shape (k, k); None where only variances are known.
     aux : mapping of str to ndarray
-        For reports only (elevation, azimuth, C/N0 a row).
+        Elevation, azimuth (rad) and C/N0 a row: for reports, and for faults that come from one direction.
+    screening : Screening, optional
+        What the estimator's own fault detection did with the rows before it used them.
     """
 
     t_ns: int
@@ -161,6 +201,7 @@ class Update:
     switched: tuple[str, ...] = ()
     R_accuracy: FloatArray | None = None
     aux: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    screening: Screening | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "nu", "H", "R", "F", "Q", "spare_nu", "spare_var")
@@ -199,7 +240,7 @@ class Update:
         L = cholesky(S)
         K = gain(P, H, L)
         after = correct_covariance(P, H, R, K) if len(keys) else P
-        posterior = State(prior.state.t_ns, prior.state.mean + K @ nu, after, prior.state.layout)
+        posterior = replace(prior.state, mean=prior.state.mean + K @ nu, P=after)
         update = Update(
             prior.state.t_ns, keys, nu, H, R, prior.F, prior.Q, prior.state, posterior,
             consumed=prior.consumed, events=prior.events, **facts,

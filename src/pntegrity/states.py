@@ -110,12 +110,17 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A Gaussian belief: mean, covariance and the names of its scalars. An empty one means: not started."""
+    """A Gaussian belief: mean, covariance and the names of its scalars. An empty one means: not started.
+
+    `aside` is what an estimator keeps beside the belief and nobody else reads, an immutable value: the
+    attitude about which its small angles turn, what it has seen of residuals.
+    """
 
     t_ns: int
     mean: FloatArray
     P: FloatArray
     layout: Layout
+    aside: Any = None
 
     def __post_init__(self) -> None:
         freeze(self, "mean", "P")

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.estimators._ins_options import InsOptions
 from pntegrity.physics.atmosphere import klobuchar_m, troposphere_m
 from pntegrity.physics.frames import elevation_azimuth
 from pntegrity.physics.tables import Klobuchar
@@ -38,6 +39,8 @@ class GnssOptions:
     motion : str
         What a precise filter knows of the receiver's motion: ``"white"`` (nothing), ``"walk"``,
         ``"velocity"`` or ``"static"``.
+    ins : InsOptions
+        The inertial side, where there is one.
     """
 
     noise: NoiseModel = field(default_factory=NoiseModel)
@@ -46,6 +49,7 @@ class GnssOptions:
     doppler: bool = True
     max_gap_s: float = 120.0
     motion: Literal["white", "walk", "velocity", "static"] = "white"
+    ins: InsOptions = field(default_factory=InsOptions)
 
 
 @dataclass(frozen=True, eq=False)

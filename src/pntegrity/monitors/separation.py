@@ -138,7 +138,7 @@ class Separation:
         without = self._events(memory, groups)
         chosen = sources(memory.members, ((),), without, memory.ordered).origin
         mean = state.mean + memory.bank.delta[chosen]
-        return State(state.t_ns, mean, memory.bank.P[chosen], state.layout)
+        return replace(state, mean=mean, P=memory.bank.P[chosen])
 
     def step(self, memory: SeparationMemory, update: Update) -> tuple[Verdict, SeparationMemory]:
         """Take the bank through `update` and compare positions."""
