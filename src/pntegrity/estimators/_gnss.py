@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -164,8 +164,8 @@ def system_of(key: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """A snapshot solution: position, a clock a constellation (m), velocity and clock drift (None without
-    range rates).
+    """A snapshot solution: position, a clock a constellation (m), and where there are range rates velocity
+    with its covariance and clock drift.
     """
 
     position_m: FloatArray
@@ -173,6 +173,7 @@ class Fix:
     velocity_mps: FloatArray | None
     drift_mps: float
     reason: str = ""
+    velocity_cov: FloatArray | None = None
 
 
 def snapshot(
@@ -192,7 +193,7 @@ def snapshot(
     x = np.array(guess_m, dtype=np.float64)
     clocks: dict[str, float] = {}
     for _ in range(12):
-        rows = _without(code_rows(epoch, x, options), exclude)
+        rows = without(code_rows(epoch, x, options), exclude)
         systems = tuple(sorted({system_of(k) for k in rows.keys}))
         if len(rows.keys) < 3 + len(systems):
             return _no_fix(
@@ -212,7 +213,8 @@ def _no_fix(x: FloatArray, reason: str) -> Fix:
     return Fix(x, {}, None, 0.0, reason)
 
 
-def _without(rows: Rows, exclude: frozenset[str]) -> Rows:
+def without(rows: Rows, exclude: frozenset[str]) -> Rows:
+    """Return the rows but for those of some groups."""
     if not exclude:
         return rows
     return rows.select(np.array([k.partition(":")[0] not in exclude for k in rows.keys], dtype=bool))
@@ -233,14 +235,30 @@ def _position_step(
 
 
 def _with_velocity(epoch: Epoch, options: GnssOptions, fix: Fix, exclude: frozenset[str]) -> Fix:
-    rows = _without(rate_rows(epoch, fix.position_m, np.zeros(3), options), exclude)
+    rows = without(rate_rows(epoch, fix.position_m, np.zeros(3), options), exclude)
+    found = velocity_of(rows, options.noise.doppler_mps)
+    if found is None:
+        return fix
+    velocity, drift, cov = found
+    return replace(fix, velocity_mps=velocity, drift_mps=drift, velocity_cov=cov)
+
+
+def velocity_of(rows: Rows, sigma_mps: float) -> tuple[FloatArray, float, FloatArray] | None:
+    """Return least-squares velocity and clock drift of range rates predicted for a receiver at rest, and the
+    velocity's covariance; None where they do not determine them.
+
+    Parameters
+    ----------
+    rows : Rows
+    sigma_mps : float
+        Of a row at the zenith.
+    """
     if len(rows.keys) < 4:
-        return fix
-    A = np.hstack([-rows.los, np.ones((len(rows.keys), 1))])
+        return None
     weight = 1.0 / rows.scale
-    solution, _, rank, _ = np.linalg.lstsq(
-        A * weight[:, None], (rows.y - rows.predicted) * weight, rcond=None
-    )
+    A = np.hstack([-rows.los, np.ones((len(rows.keys), 1))]) * weight[:, None]
+    solution, _, rank, _ = np.linalg.lstsq(A, (rows.y - rows.predicted) * weight, rcond=None)
     if rank < 4:
-        return fix
-    return Fix(fix.position_m, fix.clocks_m, np.asarray(solution[:3], dtype=np.float64), float(solution[3]))
+        return None
+    cov = np.asarray(np.linalg.inv(A.T @ A)[:3, :3] * sigma_mps**2, dtype=np.float64)
+    return np.asarray(solution[:3], dtype=np.float64), float(solution[3]), cov

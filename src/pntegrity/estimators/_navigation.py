@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from pntegrity.estimators._errors import error_kinds, error_states, stationary
 from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, snapshot, system_of
@@ -16,6 +17,7 @@ from pntegrity.sensors.noise import NoiseModel
 #: Standard deviations of a start, far above those of the snapshot that gives the mean.
 START_POS_M, START_VEL_MPS, START_CLOCK_M, START_DRIFT_MPS = 300.0, 100.0, 1000.0, 1000.0
 START_VARIANCE = np.array([START_POS_M] * 3 + [START_VEL_MPS] * 3 + [START_CLOCK_M, START_DRIFT_MPS]) ** 2
+ANGLES = ("el_rad", "az_rad", "cn0_dbhz")
 MOTION = ("pos:x", "pos:y", "pos:z", "vel:x", "vel:y", "vel:z")
 
 
@@ -48,13 +50,20 @@ def fix_prior(
 
 
 def start_prior(
-    fix: Fix, rows: Rows, t_ns: int, n_old: int, noise: NoiseModel, events: tuple[str, ...]
-) -> Prior:
+    fix: Fix, rows: Rows, t_ns: int, n_old: int, noise: NoiseModel, events: tuple[str, ...],
+    inertial: tuple[str, ...] = (),
+) -> Prior:  # fmt: skip
     """Return the wide prior around a snapshot fix; the states that the data initialise are counted as
-    consumed.
+    consumed. States called `inertial` stand behind the clock's, without a variance yet.
     """
     reference = next(iter(fix.clocks_m))
-    names = (*MOTION, f"clk:{reference}", "drift", *(f"isb:{s}" for s in fix.clocks_m if s != reference))
+    names = (
+        *MOTION,
+        f"clk:{reference}",
+        "drift",
+        *inertial,
+        *(f"isb:{s}" for s in fix.clocks_m if s != reference),
+    )
     layout = Layout((*names, *error_states(rows.keys, error_kinds(noise))))
     mean, sigma = np.zeros(len(layout)), np.zeros(len(layout))
     mean[:3], sigma[:3] = fix.position_m, START_POS_M
@@ -75,44 +84,52 @@ def start_prior(
     return Prior(State(t_ns, mean, Q, layout), np.zeros((len(layout), n_old)), Q, consumed, events, rows)
 
 
-def linear_update(
-    prior: Prior,
-    code: Rows,
-    rate: Rows,
-    code_sigma_m: FloatArray,
-    rate_sigma_mps: FloatArray,
-    exclude: frozenset[str],
-) -> Update:
-    """Return the update of a prior with code and rate rows; the rows of `exclude` become the update's spare
-    rows.
-    """
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """All rows of an epoch on a prior: names, innovations, Jacobian, variances, and angles for reports."""
+
+    keys: tuple[str, ...]
+    nu: FloatArray
+    H: FloatArray
+    variance: FloatArray
+    angles: dict[str, FloatArray]
+
+
+def stack(
+    prior: Prior, code: Rows, rate: Rows, code_sigma_m: FloatArray, rate_sigma_mps: FloatArray
+) -> Stack:
+    """Return code and range-rate rows on a prior."""
     x, layout = prior.state.mean, prior.state.layout
     H = np.vstack([_code_jacobian(layout, code), _rate_jacobian(layout, rate)])
     nu = np.concatenate([code.y - code.predicted, rate.y - rate.predicted])
     nu -= np.concatenate([H[: len(code.keys), 6:] @ x[6:], np.full(len(rate.keys), x[7])])
+    angles = {n: np.concatenate([getattr(code, n), getattr(rate, n)]) for n in ANGLES}
     variance = np.concatenate([code_sigma_m, rate_sigma_mps]) ** 2
-    keys = code.keys + rate.keys
-    used = np.array([group_of(k) not in exclude for k in keys], dtype=bool)
-    angles = {
-        name: np.concatenate([getattr(code, name), getattr(rate, name)])[used]
-        for name in ("el_rad", "az_rad", "cn0_dbhz")
-    }
-    facts = {"aux": angles, "reason": "" if used.any() else "no satellite above the mask"}
-    update = Update.of(
-        prior,
-        tuple(k for k, u in zip(keys, used, strict=True) if u),
-        nu[used],
-        H[used],
-        np.diag(variance[used]),
-        **facts,
-    )
-    return (
-        update
-        if used.all()
-        else update.with_spares(
-            tuple(keys[i] for i in np.flatnonzero(~used)), nu[~used], H[~used], variance[~used]
-        )
-    )
+    return Stack(code.keys + rate.keys, nu, H, variance, angles)
+
+
+def use(prior: Prior, rows: Stack, used: npt.NDArray[np.bool_]) -> Update:
+    """Return the update of a prior with the rows `used`; the others become its spare rows."""
+    angles = {name: values[used] for name, values in rows.angles.items()}
+    reason = "" if used.any() else "no satellite above the mask"
+    keys = tuple(k for k, u in zip(rows.keys, used, strict=True) if u)
+    R = np.diag(rows.variance[used])
+    update = Update.of(prior, keys, rows.nu[used], rows.H[used], R, aux=angles, reason=reason)
+    if used.all():
+        return update
+    spare = tuple(rows.keys[i] for i in np.flatnonzero(~used))
+    return update.with_spares(spare, rows.nu[~used], rows.H[~used], rows.variance[~used])
+
+
+def linear_update(
+    prior: Prior, code: Rows, rate: Rows, code_sigma_m: FloatArray, rate_sigma_mps: FloatArray,
+    exclude: frozenset[str],
+) -> Update:  # fmt: skip
+    """Return the update of a prior with code and rate rows; the rows of `exclude` become the update's spare
+    rows.
+    """
+    rows = stack(prior, code, rate, code_sigma_m, rate_sigma_mps)
+    return use(prior, rows, np.array([group_of(k) not in exclude for k in rows.keys], dtype=bool))
 
 
 def _code_jacobian(layout: Layout, rows: Rows) -> FloatArray:

@@ -5,24 +5,19 @@ state.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
 
-from pntegrity.estimators._errors import error_kinds, error_states, propagate, stationary
-from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows, system_of
-from pntegrity.estimators._layout import columns, survivors
-from pntegrity.estimators._navigation import MOTION, START_CLOCK_M, START_VARIANCE, fix_prior, linear_update
+from pntegrity.estimators._errors import error_kinds
+from pntegrity.estimators._filter import clock_walk, clocks, integrated_walk, next_layout, transition
+from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows
+from pntegrity.estimators._navigation import START_VARIANCE, fix_prior, linear_update
 from pntegrity.estimators._usual import Usual
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
-from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
-from pntegrity.sensors.gnss import C_MPS
+from pntegrity.records import Epoch, FloatArray, Prior, State, Update
 from pntegrity.sensors.noise import Fitted, NoiseModel
-
-#: A common shift of the code residuals above this is a jump of the receiver clock, m.
-CLOCK_JUMP_M = 300.0
 
 
 @dataclass(frozen=True)
@@ -66,10 +61,11 @@ class SppKf(Usual):
             return self._start(state, epoch, (f"restart after a gap of {dt:.0f} s",))
         moved = state.mean[:3] + dt * state.mean[3:6]
         rows = code_rows(epoch, moved, self.options)
-        layout = _layout(state.layout, rows.keys, error_kinds(self.options.noise))
-        F, Q = _transition(state.layout, layout, dt, self.options.noise, rows)
+        layout = next_layout(state.layout, rows.keys, error_kinds(self.options.noise))
+        F, Q = transition(state.layout, layout, dt, self.options.noise, rows)
+        _kinematics(F, Q, dt, self.options.noise)
         mean = F @ state.mean
-        mean, F, Q, consumed, events = _clocks(mean, F, Q, layout, state.layout, rows)
+        mean, F, Q, consumed, events = clocks(mean, F, Q, layout, state.layout, rows)
         P = symmetric(sandwich(F, state.P) + Q)
         return Prior(State(epoch.t_ns, mean, P, layout), F, Q, consumed, events, rows)
 
@@ -112,87 +108,7 @@ class SppKf(Usual):
         return fix_prior(epoch, self.options, guess, len(old), self.options.noise, (*events, "start"))
 
 
-@lru_cache(maxsize=512)
-def _layout(old: Layout, keys: tuple[str, ...], kinds: tuple[str, ...]) -> Layout:
-    """Return the layout after `old` with these code rows: constellations stay, satellites come and go."""
-    reference = old.names[6].partition(":")[2]
-    isb = [n for n in old.names if n.startswith("isb:")]
-    seen = dict.fromkeys(f"isb:{system_of(k)}" for k in keys if system_of(k) != reference)
-    isb += [n for n in seen if n not in old.index]
-    return Layout((*MOTION, f"clk:{reference}", "drift", *isb, *error_states(keys, kinds)))
-
-
-def _transition(
-    old: Layout, new: Layout, dt: float, noise: NoiseModel, rows: Rows
-) -> tuple[FloatArray, FloatArray]:
-    """Return the rectangular `F` and the `Q` of a step: what is born has its whole variance in `Q`."""
-    to, source, born = survivors(old, new)
-    n = len(new)
-    step = np.eye(n)
-    propagate(step, new, rows, noise, dt)
-    lasting = np.zeros((n, n))
-    stationary(lasting, new, rows, noise)
-    Q = lasting - sandwich(step, lasting)
-    F = np.zeros((n, len(old)))
-    F[:, source] = step[:, to]
-    fresh = np.zeros(n, dtype=bool)
-    fresh[born] = True
-    F[fresh] = 0.0
-    Q[np.ix_(fresh, fresh)] = lasting[np.ix_(fresh, fresh)]
-    isb = new.block("isb")
-    Q[isb, isb] = np.where(fresh[isb], START_CLOCK_M**2, noise.isb_m**2 * dt)
-    _kinematics(F, Q, dt, noise)
-    return F, Q
-
-
 def _kinematics(F: FloatArray, Q: FloatArray, dt: float, noise: NoiseModel) -> None:
-    pairs = [(i, i + 3, noise.accel_mps2**2) for i in range(3)] + [(6, 7, noise.clock_drift_mps**2)]
-    for level, slope, spectral in pairs:
-        F[level, slope] = dt
-        Q[level, level] = spectral * dt**3 / 3.0
-        Q[level, slope] = Q[slope, level] = spectral * dt**2 / 2.0
-        Q[slope, slope] = spectral * dt
-    Q[6, 6] += noise.clock_m**2 * dt
-
-
-def _clocks(
-    mean: FloatArray, F: FloatArray, Q: FloatArray, layout: Layout, old: Layout, rows: Rows
-) -> tuple[FloatArray, FloatArray, FloatArray, int, tuple[str, ...]]:
-    """Set what the data must initialise: inter-system biases of new constellations, the clock after a
-    jump.
-    """
-    consumed, events = 0, []
-    residual = rows.y - rows.predicted - mean[6]
-    isb = columns(layout, tuple(f"isb:{system_of(k)}" for k in rows.keys))
-    born = [i for i in dict.fromkeys(isb.tolist()) if i >= 0 and layout.names[i] not in old.index]
-    known = ~np.isin(isb, born)
-    residual = residual - np.where((isb >= 0) & known, mean[isb], 0.0)
-    shift, jumped = _common_shift(residual[known])
-    if jumped:
-        whole_ms = round(shift / (C_MPS * 1e-3))
-        if whole_ms and abs(shift - whole_ms * C_MPS * 1e-3) < CLOCK_JUMP_M:
-            shift = whole_ms * C_MPS * 1e-3
-            events.append(f"receiver clock jump of {whole_ms} ms removed")
-        else:
-            F[6], Q[6], Q[:, 6] = 0.0, 0.0, 0.0
-            Q[6, 6] = START_CLOCK_M**2
-            consumed += 1
-            events.append(f"receiver clock jump of {shift:.0f} m: clock started anew")
-        mean[6] += shift
-        residual = residual - shift
-    for i in born:
-        mean[i] = float(np.median(residual[isb == i]))
-        consumed += 1
-        events.append(f"first satellites of {layout.names[i][4:]}")
-    return mean, F, Q, consumed, tuple(events)
-
-
-def _common_shift(residual: FloatArray) -> tuple[float, bool]:
-    """Return the median of the residuals, and whether most of them share it and it is too large for a clock
-    that drifts.
-    """
-    if len(residual) < 3:
-        return 0.0, False
-    shift = float(np.median(residual))
-    shared = np.mean(np.abs(residual - shift) < 0.3 * CLOCK_JUMP_M) > 0.6
-    return shift, bool(shared and abs(shift) > CLOCK_JUMP_M)
+    for i in range(3):
+        integrated_walk(F, Q, i, i + 3, noise.accel_mps2**2, dt)
+    clock_walk(F, Q, dt, noise)

@@ -295,3 +295,10 @@ PPP_RTK = NoiseModel(
 PPP_RTK_PUBLISHED = replace(
     PPP_RTK, ambiguity_m=0.0, product_tau_s=0.0, correlated_part=0.0, name="published"
 )
+
+#: What a receiver in a city starts from: reflected signals are an error of each satellite that lasts a minute
+#: and grows as C/N0 falls; what is larger is for the tests. Clocks are those of a cheap oscillator.
+CITY = NoiseModel(
+    code_white_m=0.7, code_multipath_m=2.0, code_multipath_tau_s=60.0, code_bias_m=0.0, doppler_mps=0.1,
+    cn0_ref_dbhz=45.0, bds2_factor=1.0, clock_m=0.1, clock_drift_mps=0.1, isb_m=0.01, name="city",
+)  # fmt: skip

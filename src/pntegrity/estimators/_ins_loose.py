@@ -1,0 +1,127 @@
+"""Loose coupling: a fix of position and velocity is measured, a receiver's own or one of screened rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag
+
+from pntegrity.estimators._gnss import (
+    GnssOptions,
+    Rows,
+    code_rows,
+    rate_rows,
+    sensor,
+    system_of,
+    velocity_of,
+    without,
+)
+from pntegrity.estimators._ins_motion import Moved
+from pntegrity.estimators._ins_solution import Aside, antenna, with_aside
+from pntegrity.kernels.factor_set import screen_factor_set
+from pntegrity.kernels.linear import symmetric
+from pntegrity.kernels.lsr import screen_lsr, screen_none
+from pntegrity.kernels.rotations import skew
+from pntegrity.kernels.snapshot_fix import Fix, Pseudoranges
+from pntegrity.kernels.sparse import sandwich
+from pntegrity.physics.frames import enu_rotation
+from pntegrity.records import Epoch, FloatArray, Prior, State, Update, group_of
+
+__all__ = ["correct", "predict"]
+
+ORDER = ("fix:X", "fix:Y", "fix:Z", "fix:DX", "fix:DY", "fix:DZ")
+GROUP = "fix"
+SCREENS = {"factor-set": screen_factor_set, "lsr": screen_lsr, "none": screen_none, "ours": screen_none}
+
+
+def predict(state: State, moved: Moved, epoch: Epoch, dt: float, options: GnssOptions) -> Prior:
+    """Return the prior after a step of the INS."""
+    n = len(state)
+    aside = state.aside.with_(C=moved.C, rate_radps=moved.rate_radps)
+    mean = state.mean.copy()
+    mean[:3], mean[3:6], mean[state.layout.block("att")] = moved.position_m, moved.velocity_mps, 0.0
+    F, Q = moved.F[:n, :n], moved.Q[:n, :n]
+    P = symmetric(sandwich(F, state.P) + Q)
+    return Prior(State(epoch.t_ns, mean, P, state.layout, aside), F, Q, 0, moved.events)
+
+
+def correct(prior: Prior, epoch: Epoch, options: GnssOptions, exclude: frozenset[str]) -> Update:
+    """Use the fix, or leave it out where its group is in `exclude` or the screening says so."""
+    place, speed = antenna(prior.state)
+    if epoch.sensor(GROUP) is not None:
+        return _use(prior, *_own(epoch, place, speed), exclude)
+    rows = without(code_rows(epoch, place, options), exclude)
+    screening, fix, kept, memory = SCREENS[options.ins.fde](
+        options.ins.factors, prior.state.aside.factors, pseudoranges(rows, place, options)
+    )
+    if fix is None or not screening.used:
+        none = Measured((), np.zeros(0), np.zeros((0, 0)))
+        update = _use(prior, none, screening.reason or "the fix was not accepted", exclude)
+    else:
+        found = _measured(epoch, options, rows, fix, kept, place, speed)
+        update = _use(prior, found, "", exclude)
+    known = prior.state.aside.with_(factors=memory)
+    return with_aside(update.altered(screening=screening), known)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A fix less its prediction: names of its rows, differences and covariance."""
+
+    keys: tuple[str, ...]
+    nu: FloatArray
+    cov: FloatArray
+
+
+def pseudoranges(rows: Rows, place_m: FloatArray, options: GnssOptions) -> Pseudoranges:
+    """Return code rows as detection takes them; their sigma is that of a solver without error states."""
+    systems = [system_of(k) for k in rows.keys]
+    numbers = {s: i for i, s in enumerate(sorted(set(systems)))}
+    clock = np.array([numbers[s] for s in systems], dtype=np.int64)
+    sigma = options.noise.snapshot_sigma_m(rows.scale, rows.slow)
+    return Pseudoranges(rows.keys, rows.los, clock, rows.y - rows.predicted, sigma, enu_rotation(place_m))
+
+
+def _own(epoch: Epoch, place: FloatArray, speed: FloatArray) -> tuple[Measured, str]:
+    """Return a receiver's own fix, and why there is none."""
+    own = sensor(epoch, GROUP)
+    expected = np.concatenate([place, speed])[[ORDER.index(k) for k in own.keys]]
+    cov = own.aux["cov"] if len(own.keys) else np.zeros((0, 0))
+    return Measured(own.keys, own.y - expected, cov), "" if len(own.keys) else "no fix"
+
+
+def _measured(
+    epoch: Epoch, options: GnssOptions, rows: Rows, fix: Fix, kept: npt.NDArray[np.bool_],
+    place: FloatArray, speed: FloatArray,
+) -> Measured:  # fmt: skip
+    """Return the fix of the kept satellites, with a velocity where their range rates give one."""
+    satellites = {group_of(k) for k, use in zip(rows.keys, kept, strict=True) if use}
+    rate = rate_rows(epoch, place + fix.offset_m, np.zeros(3), options)
+    rate = rate.select(np.array([group_of(k) in satellites for k in rate.keys], dtype=bool))
+    velocity = velocity_of(rate, options.noise.doppler_mps)
+    if velocity is None:
+        return Measured(ORDER[:3], fix.offset_m, fix.cov)
+    nu = np.concatenate([fix.offset_m, velocity[0] - speed])
+    return Measured(ORDER, nu, block_diag(fix.cov, velocity[2]))
+
+
+def _use(prior: Prior, found: Measured, reason: str, exclude: frozenset[str]) -> Update:
+    """Return the update with a fix; it is spare where its group is in `exclude`."""
+    H = _jacobian(prior.state)[[ORDER.index(k) for k in found.keys]]
+    if found.keys and GROUP in exclude:
+        none = Update.of(prior, (), np.zeros(0), H[:0], np.zeros((0, 0)), reason="the fix is left out")
+        return none.with_spares(found.keys, found.nu, H, found.cov)
+    return Update.of(prior, found.keys, found.nu, H, found.cov, reason=reason)
+
+
+def _jacobian(state: State) -> FloatArray:
+    """Return how position and velocity of the antenna depend on the states, shape (6, n)."""
+    aside: Aside = state.aside
+    H = np.zeros((6, len(state)))
+    H[range(6), range(6)] = 1.0
+    H[:3, state.layout.block("att")] = -skew(aside.C @ aside.arm_m)
+    H[3:, state.layout.block("att")] = -skew(aside.C @ np.cross(aside.rate_radps, aside.arm_m))
+    H[3:, state.layout.block("bg")] = aside.C @ skew(aside.arm_m)
+    return H

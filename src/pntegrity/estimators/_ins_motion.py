@@ -1,0 +1,80 @@
+"""From one epoch to the next with an inertial measurement unit, gaps of its file included."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pntegrity.estimators._ins_options import InsOptions
+from pntegrity.estimators._ins_solution import attitude_now
+from pntegrity.kernels.strapdown import mechanise
+from pntegrity.records import FloatArray, Inertial, State
+from pntegrity.sensors.gnss import EARTH_RATE_RADPS
+
+__all__ = ["Moved", "advance"]
+
+#: What a vehicle may do while its IMU says nothing: white acceleration and turning, m/s^1.5 and rad/sqrt(s).
+UNSEEN_ACCEL, UNSEEN_TURN = 3.0, 0.3
+#: Durations that differ by less than this are equal, s.
+SAME_S = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Where the vehicle is after a step: position and velocity of the IMU, attitude, rate with respect to
+    the Earth; `F` and `Q` of the 21 errors.
+    """
+
+    position_m: FloatArray
+    velocity_mps: FloatArray
+    C: FloatArray
+    rate_radps: FloatArray
+    F: FloatArray
+    Q: FloatArray
+    events: tuple[str, ...] = ()
+
+
+def advance(state: State, imu: Inertial | None, dt: float, options: InsOptions) -> Moved:
+    """Return the step over `dt` seconds; what the increments do not cover is bridged without them.
+
+    Parameters
+    ----------
+    state : State
+        A posterior of the filter.
+    imu : Inertial or None
+    dt : float
+    options : InsOptions
+    """
+    errors = np.zeros(12)
+    found = np.concatenate([state.block(kind)[0] for kind in ("bg", "ba", "sg", "sa")])
+    errors[: len(found)] = found
+    none = np.zeros((0, 3))
+    spans, angles, forces = (imu.dt_s, imu.angle_rad, imu.velocity_mps) if imu else (np.zeros(0), none, none)
+    step = mechanise(
+        state.mean[:3], state.mean[3:6], attitude_now(state), spans, angles, forces, errors,
+        options.spec.densities(),
+    )  # fmt: skip
+    earth = step.C.T @ np.array([0.0, 0.0, EARTH_RATE_RADPS])
+    moved = Moved(
+        step.position_m, step.velocity_mps, step.C, step.rate_radps - earth if len(spans) else np.zeros(3),
+        step.F, step.Q,
+    )  # fmt: skip
+    missing = dt - float(spans.sum())
+    return moved if missing < SAME_S else _bridged(moved, missing, imu.reason if imu else "")
+
+
+def _bridged(moved: Moved, missing_s: float, reason: str) -> Moved:
+    """Return the step with a stretch of constant velocity behind it."""
+    F, Q = np.eye(21), np.zeros((21, 21))
+    i = np.arange(3)
+    F[i, i + 3] = missing_s
+    Q[i, i] = UNSEEN_ACCEL**2 * missing_s**3 / 3.0
+    Q[i, i + 3] = Q[i + 3, i] = UNSEEN_ACCEL**2 * missing_s**2 / 2.0
+    Q[i + 3, i + 3] = UNSEEN_ACCEL**2 * missing_s
+    Q[i + 6, i + 6] = UNSEEN_TURN**2 * missing_s
+    event = reason or f"no inertial data for {missing_s:.2f} s: bridged with constant velocity"
+    return Moved(
+        moved.position_m + missing_s * moved.velocity_mps, moved.velocity_mps, moved.C, moved.rate_radps,
+        F @ moved.F, F @ moved.Q @ F.T + Q, (event,),
+    )  # fmt: skip

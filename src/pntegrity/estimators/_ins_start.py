@@ -1,0 +1,133 @@
+"""How an inertial filter starts: aligned, around a fix; and how it starts anew without losing its
+attitude.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pntegrity.estimators._filter import mode
+from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, snapshot, system_of
+from pntegrity.estimators._ins_alignment import Aligned, Alignment, aligned, felt
+from pntegrity.estimators._ins_solution import Aside, inertial_names
+from pntegrity.estimators._navigation import MOTION, start_prior
+from pntegrity.kernels.factor_set import FactorMemory
+from pntegrity.physics.frames import enu_rotation
+from pntegrity.records import Epoch, Inertial, Layout, Prior, State
+
+__all__ = ["align", "begun"]
+
+#: Standard deviations of a start and of a re-acquisition: position, velocity, clock and its drift.
+START_M, START_MPS, CLOCK_M, DRIFT_MPS = 100.0, 10.0, 1000.0, 100.0
+NO_IMU = "no inertial data at this epoch"
+
+
+def align(state: State, epoch: Epoch, options: GnssOptions, events: tuple[str, ...], n_old: int = 0) -> Prior:
+    """Return the prior of a filter that starts, or an empty one that remembers what was felt and says why.
+
+    Parameters
+    ----------
+    state : State
+        An empty one; what was felt before stands beside it.
+    epoch : Epoch
+    options : GnssOptions
+    events : tuple of str
+        What happened already.
+    n_old : int
+        States before.
+    """
+    known: Alignment | None = state.aside if isinstance(state.aside, Alignment) else None
+    if epoch.imu is None or not len(epoch.imu.dt_s):
+        return _waiting(epoch, known, n_old, (*events, NO_IMU))
+    fix = _fix(epoch, options)
+    speed = float("nan") if fix.velocity_mps is None else float(np.linalg.norm(fix.velocity_mps))
+    known = felt(known, epoch.imu, speed)
+    if fix.reason:
+        return _waiting(epoch, known, n_old, (*events, fix.reason))
+    to_enu = enu_rotation(fix.position_m)
+    velocity = None if fix.velocity_mps is None else to_enu @ fix.velocity_mps
+    sigma = float("inf") if fix.velocity_cov is None else float(np.sqrt(np.trace(fix.velocity_cov) / 3.0))
+    found = aligned(known, options.ins, velocity, sigma)
+    if isinstance(found, str):
+        return _waiting(epoch, known, n_old, (*events, found))
+    return _started(fix, found, epoch, options, n_old, (*events, "start"))
+
+
+def _waiting(epoch: Epoch, known: Alignment | None, n_old: int, events: tuple[str, ...]) -> Prior:
+    state = replace(State.empty(epoch.t_ns), aside=known)
+    return Prior(state, np.zeros((0, n_old)), np.zeros((0, 0)), events=events)
+
+
+def _fix(epoch: Epoch, options: GnssOptions) -> Fix:
+    """Return the receiver's own fix where it gives one, else that of its pseudoranges."""
+    own = epoch.sensor("fix")
+    if own is None:
+        return snapshot(epoch, options, np.zeros(3))
+    cov = own.aux["cov"]
+    if len(own.keys) < 3:
+        return Fix(np.zeros(3), {}, None, 0.0, "no position in the fix")
+    velocity = (own.y[3:6], cov[3:6, 3:6]) if len(own.keys) == 6 else (None, None)
+    return Fix(own.y[:3], {}, velocity[0], 0.0, "", velocity[1])
+
+
+def _started(
+    fix: Fix, found: Aligned, epoch: Epoch, options: GnssOptions, n_old: int, events: tuple[str, ...]
+) -> Prior:
+    names = inertial_names(options.ins.scale_factors)
+    if options.ins.coupling == "tight":
+        rows = code_rows(epoch, fix.position_m, options)
+        prior = start_prior(_by_mode(fix, rows), rows, epoch.t_ns, n_old, options.noise, events, names)
+    else:
+        n = len(MOTION) + len(names)
+        state = State(epoch.t_ns, np.zeros(n), np.zeros((n, n)), Layout((*MOTION, *names)))
+        prior = Prior(state, np.zeros((n, n_old)), np.zeros((n, n)), 6, events)
+    return _with_attitude(prior, fix, found, epoch.imu, options)
+
+
+def _by_mode(fix: Fix, rows: Rows) -> Fix:
+    """Return the fix with each clock where most of its satellites agree: reflected ones do not."""
+    residual = rows.y - rows.predicted
+    of = np.array([system_of(k) for k in rows.keys])
+    return replace(fix, clocks_m={s: mode(residual[of == s]) for s in fix.clocks_m})
+
+
+def _with_attitude(
+    prior: Prior, fix: Fix, found: Aligned, imu: Inertial | None, options: GnssOptions
+) -> Prior:
+    """Return the start with position, velocity, attitude and the IMU's errors in it."""
+    assert imu is not None
+    to_ecef = enu_rotation(fix.position_m).T
+    C = to_ecef @ found.C
+    rate = imu.angle_rad.sum(axis=0) / imu.dt_s.sum() - found.gyro_bias_radps
+    arm = np.asarray(options.ins.lever_arm_m)
+    velocity = np.zeros(3) if fix.velocity_mps is None else fix.velocity_mps - C @ np.cross(rate, arm)
+    mean, P, layout = prior.state.mean.copy(), prior.state.P.copy(), prior.state.layout
+    mean[:3], mean[3:6], mean[layout.block("bg")] = fix.position_m - C @ arm, velocity, found.gyro_bias_radps
+    P[:6, :6] = np.diag(np.repeat([START_M, START_MPS], 3) ** 2)
+    at = layout.block("att")
+    P[np.ix_(at, at)] = to_ecef @ np.diag(found.sigma_rad**2) @ to_ecef.T
+    sigma = options.ins.spec.start_sigma()
+    sigma[:3] = found.gyro_sigma_radps
+    for k, kind in enumerate(("bg", "ba", "sg", "sa")):
+        block = layout.block(kind)
+        P[block, block] = sigma[3 * k : 3 * k + len(block)] ** 2
+    aside = Aside(C, rate, arm, FactorMemory())
+    return replace(prior, state=State(prior.state.t_ns, mean, P, layout, aside), Q=P)
+
+
+def begun(prior: Prior, event: str) -> Prior:
+    """Return the prior with position, velocity and clock born anew where they are; all else stays known."""
+    sigma = {"pos": START_M, "vel": START_MPS, "clk": CLOCK_M, "drift": DRIFT_MPS}
+    at = np.concatenate([prior.state.layout.block(kind) for kind in sigma])
+    variance = np.concatenate([np.full(len(prior.state.layout.block(k)), s**2) for k, s in sigma.items()])
+    F, Q, P = prior.F.copy(), prior.Q.copy(), prior.state.P.copy()
+    for matrix in (Q, P):
+        matrix[at], matrix[:, at] = 0.0, 0.0
+        matrix[at, at] = variance
+    F[at] = 0.0
+    state = replace(prior.state, P=P, aside=prior.state.aside.with_(refused_since_ns=None))
+    return replace(
+        prior, state=state, F=F, Q=Q, consumed=prior.consumed + len(at), events=(*prior.events, event)
+    )

@@ -1,0 +1,85 @@
+"""GNSS and an inertial measurement unit in one filter: position, velocity, attitude and the unit's errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pntegrity.estimators import _ins_loose, _ins_tight
+from pntegrity.estimators._gnss import GnssOptions
+from pntegrity.estimators._ins_motion import advance
+from pntegrity.estimators._ins_start import align, begun
+from pntegrity.estimators._usual import Usual
+from pntegrity.records import Epoch, Prior, State, Update
+from pntegrity.sensors.noise import CITY, NoiseModel
+
+__all__ = ["GnssIns"]
+
+
+@dataclass(frozen=True)
+class GnssIns(Usual):
+    """Error-state filter in the Earth frame, closed loop, with a lever arm.
+
+    Tight coupling: pseudoranges and range rates are rows; clock, drift, inter-system biases and an error of
+    each satellite that lasts a while are states beside those of the INS. Loose coupling: a least-squares fix
+    of position and velocity is what is measured, or a receiver's own fix. States of the INS: position,
+    velocity, attitude, biases and scale factors of gyroscopes and accelerometers.
+
+    Parameters
+    ----------
+    options : GnssOptions
+        `options.ins` says all about the inertial side.
+
+    References
+    ----------
+    Groves (2013), Principles of GNSS, inertial, and multisensor integrated navigation systems, ch. 14. Chen
+    et al. (2023), A factor set-based GNSS fault detection and exclusion, eqs (21)-(22).
+    """
+
+    default_noise: ClassVar[NoiseModel] = CITY
+    max_gap_s: ClassVar[float] = 600.0
+    monitors: ClassVar[tuple[str, ...]] = ("factor_set", "separation")
+    options: GnssOptions = field(default_factory=GnssOptions)
+
+    @property
+    def policy(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """What suits the pipeline: detection of the tight filter is its own, and no restart loses the
+        attitude.
+        """
+        usual = {"keep_rows": 0, "most_excluded": 1.0, "restart_s": float("inf")}
+        return usual | ({"exclude": False} if self._is_tight else {})
+
+    def predict(self, state: State, epoch: Epoch) -> Prior:
+        """Return the prior at `epoch`; an empty one as long as the attitude is not known."""
+        dt = (epoch.t_ns - state.t_ns) * 1e-9
+        if not len(state):
+            return align(state, epoch, self.options, ())
+        if dt > self.options.max_gap_s or dt <= 0.0:
+            event = f"restart after a gap of {dt:.0f} s"
+            return align(State.empty(state.t_ns), epoch, self.options, (event,), len(state))
+        moved = advance(state, epoch.imu, dt, self.options.ins)
+        step = _ins_tight.predict if self._is_tight else _ins_loose.predict
+        return step(state, moved, epoch, dt, self.options)
+
+    def relax(self, prior: Prior) -> Prior:
+        """Return the prior with position, velocity and clock born anew; attitude and the IMU's errors
+        stay.
+        """
+        if not len(prior.state):
+            return prior
+        return begun(prior, "position and velocity started anew")
+
+    def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
+        """Use the epoch's rows but for those of the groups in `exclude` and those that fail detection."""
+        if not len(prior.state):
+            reason = prior.events[-1] if prior.events else "not started"
+            return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
+        step = _ins_tight.correct if self._is_tight else _ins_loose.correct
+        return step(prior, epoch, self.options, exclude)
+
+    @property
+    def _is_tight(self) -> bool:
+        return self.options.ins.coupling == "tight"
