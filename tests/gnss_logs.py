@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 
 from pntegrity.estimators._gnss import GnssOptions
-from pntegrity.physics.frames import geodetic_to_ecef
+from pntegrity.kernels.gravity import gravity
+from pntegrity.kernels.rotations import from_angles
+from pntegrity.physics.frames import enu_rotation, geodetic_to_ecef
 from pntegrity.physics.tables import Navigation
 from pntegrity.physics.time import from_iso
 from pntegrity.protocols import Estimator, Monitor
-from pntegrity.records import Epoch, Observation, Prior, State, Update, group_of
+from pntegrity.records import Epoch, Inertial, Observation, Prior, State, Update, group_of
+from pntegrity.sensors.gnss import EARTH_RATE_RADPS
+from pntegrity.sensors.increments import with_increments
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.constellation import nominal_navigation
 from pntegrity.simulate.faults import apply_faults, parse_fault
@@ -81,6 +85,22 @@ def only(epoch: Epoch, groups: Iterable[str]) -> Epoch:
 
 def _kept(o: Observation, rows: list[bool]) -> Observation:
     return o.select(np.array(rows, dtype=bool))
+
+
+@lru_cache(maxsize=4)
+def _felt(n: int) -> Inertial:
+    """Return what an IMU feels that stands level at `PLACE`, its heading 0.3 rad: 20 increments a second."""
+    C = enu_rotation(PLACE).T @ from_angles([0.0, 0.0, 0.3])
+    dt = np.full(20 * n, 0.05)
+    ends = START - SECOND + np.cumsum(np.full(20 * n, SECOND // 20))
+    earth, up = C.T @ np.array([0.0, 0.0, EARTH_RATE_RADPS]), -C.T @ np.array(gravity(*PLACE))
+    return Inertial(ends, dt, dt[:, None] * earth, dt[:, None] * up)
+
+
+def with_imu(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
+    """Return epochs of `log` with what an IMU feels beside a receiver that does not move."""
+    seconds = (epochs[-1].t_ns - START) // SECOND + 2
+    return with_increments(epochs, _felt(int(seconds)))
 
 
 def shuffled(epoch: Epoch, rng: np.random.Generator) -> Epoch:

@@ -9,8 +9,9 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 
-from gnss_logs import LinearFilter, log, navigation, only, options, without
+from gnss_logs import LinearFilter, log, navigation, only, options, with_imu, without
 from pntegrity import estimators, monitors
+from pntegrity.estimators._ins_options import InsOptions
 from pntegrity.exclusion import Policy
 from pntegrity.pipeline import Outcome, Pipeline
 from pntegrity.protocols import Estimator, Monitor
@@ -68,7 +69,7 @@ def gnss_source(name: str) -> Source:
         if k not in (82, 83, 84):
             shown.append(e)
     cls = estimators.discover()[name]
-    return Source(cls(options(navigation())), tuple(shown))
+    return Source(cls(options(navigation(), ins=InsOptions(heading_rad=0.3, fde="none"))), with_imu(shown))
 
 
 def all_groups(epoch: Epoch) -> set[str]:

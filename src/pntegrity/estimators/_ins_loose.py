@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from pntegrity.estimators._gnss import (
 )
 from pntegrity.estimators._ins_motion import Moved
 from pntegrity.estimators._ins_solution import Aside, antenna, with_aside
+from pntegrity.estimators._ins_still import standing, zero_velocity
 from pntegrity.kernels.factor_set import screen_factor_set
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.lsr import screen_lsr, screen_none
@@ -51,28 +52,29 @@ def correct(prior: Prior, epoch: Epoch, options: GnssOptions, exclude: frozenset
     """Use the fix, or leave it out where its group is in `exclude` or the screening says so."""
     place, speed = antenna(prior.state)
     if epoch.sensor(GROUP) is not None:
-        return _use(prior, *_own(epoch, place, speed), exclude)
+        return _use(prior, epoch, options, _own(epoch, place, speed), exclude)
     rows = without(code_rows(epoch, place, options), exclude)
     screening, fix, kept, memory = SCREENS[options.ins.fde](
         options.ins.factors, prior.state.aside.factors, pseudoranges(rows, place, options)
     )
     if fix is None or not screening.used:
-        none = Measured((), np.zeros(0), np.zeros((0, 0)))
-        update = _use(prior, none, screening.reason or "the fix was not accepted", exclude)
+        found = Measured(reason=screening.reason or "the fix was not accepted")
     else:
         found = _measured(epoch, options, rows, fix, kept, place, speed)
-        update = _use(prior, found, "", exclude)
-    known = prior.state.aside.with_(factors=memory)
-    return with_aside(update.altered(screening=screening), known)
+    update = _use(prior, epoch, options, found, exclude)
+    return with_aside(update.altered(screening=screening), prior.state.aside.with_(factors=memory))
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A fix less its prediction: names of its rows, differences and covariance."""
+    """A fix less its prediction: names of its rows, differences and covariance; `reason`: why there is
+    none.
+    """
 
-    keys: tuple[str, ...]
-    nu: FloatArray
-    cov: FloatArray
+    keys: tuple[str, ...] = ()
+    nu: FloatArray = field(default_factory=lambda: np.zeros(0))
+    cov: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    reason: str = ""
 
 
 def pseudoranges(rows: Rows, place_m: FloatArray, options: GnssOptions) -> Pseudoranges:
@@ -84,12 +86,13 @@ def pseudoranges(rows: Rows, place_m: FloatArray, options: GnssOptions) -> Pseud
     return Pseudoranges(rows.keys, rows.los, clock, rows.y - rows.predicted, sigma, enu_rotation(place_m))
 
 
-def _own(epoch: Epoch, place: FloatArray, speed: FloatArray) -> tuple[Measured, str]:
-    """Return a receiver's own fix, and why there is none."""
+def _own(epoch: Epoch, place: FloatArray, speed: FloatArray) -> Measured:
+    """Return a receiver's own fix less its prediction."""
     own = sensor(epoch, GROUP)
+    if not len(own.keys):
+        return Measured(reason="no fix")
     expected = np.concatenate([place, speed])[[ORDER.index(k) for k in own.keys]]
-    cov = own.aux["cov"] if len(own.keys) else np.zeros((0, 0))
-    return Measured(own.keys, own.y - expected, cov), "" if len(own.keys) else "no fix"
+    return Measured(own.keys, own.y - expected, own.aux["cov"])
 
 
 def _measured(
@@ -107,21 +110,28 @@ def _measured(
     return Measured(ORDER, nu, block_diag(fix.cov, velocity[2]))
 
 
-def _use(prior: Prior, found: Measured, reason: str, exclude: frozenset[str]) -> Update:
-    """Return the update with a fix; it is spare where its group is in `exclude`."""
-    H = _jacobian(prior.state)[[ORDER.index(k) for k in found.keys]]
-    if found.keys and GROUP in exclude:
-        none = Update.of(prior, (), np.zeros(0), H[:0], np.zeros((0, 0)), reason="the fix is left out")
-        return none.with_spares(found.keys, found.nu, H, found.cov)
-    return Update.of(prior, found.keys, found.nu, H, found.cov, reason=reason)
+def _use(
+    prior: Prior, epoch: Epoch, options: GnssOptions, found: Measured, exclude: frozenset[str]
+) -> Update:
+    """Return the update with a fix, spare where its group is in `exclude`, and with a standstill."""
+    out = bool(found.keys) and GROUP in exclude
+    used = Measured(reason="the fix is left out") if out else found
+    keys, nu, H, R = used.keys, used.nu, _jacobian(prior.state, used.keys), used.cov
+    if standing(epoch.imu, prior.state, options.ins):
+        still = zero_velocity(prior.state)
+        keys, nu, H = keys + still.keys, np.concatenate([nu, still.nu]), np.vstack([H, still.H])
+        R = block_diag(R, np.diag(still.variance))
+    update = Update.of(prior, keys, nu, H, R, reason="" if keys else used.reason)
+    spare = _jacobian(prior.state, found.keys)
+    return update.with_spares(found.keys, found.nu, spare, found.cov) if out else update
 
 
-def _jacobian(state: State) -> FloatArray:
-    """Return how position and velocity of the antenna depend on the states, shape (6, n)."""
+def _jacobian(state: State, keys: tuple[str, ...]) -> FloatArray:
+    """Return how rows of the antenna's position and velocity depend on the states, shape (len(keys), n)."""
     aside: Aside = state.aside
     H = np.zeros((6, len(state)))
     H[range(6), range(6)] = 1.0
     H[:3, state.layout.block("att")] = -skew(aside.C @ aside.arm_m)
     H[3:, state.layout.block("att")] = -skew(aside.C @ np.cross(aside.rate_radps, aside.arm_m))
     H[3:, state.layout.block("bg")] = aside.C @ skew(aside.arm_m)
-    return H
+    return H[[ORDER.index(k) for k in keys]]

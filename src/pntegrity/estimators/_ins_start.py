@@ -123,6 +123,7 @@ def begun(prior: Prior, event: str) -> Prior:
     at = np.concatenate([prior.state.layout.block(kind) for kind in sigma])
     variance = np.concatenate([np.full(len(prior.state.layout.block(k)), s**2) for k, s in sigma.items()])
     F, Q, P = prior.F.copy(), prior.Q.copy(), prior.state.P.copy()
+    variance = np.maximum(variance, P[at, at])
     for matrix in (Q, P):
         matrix[at], matrix[:, at] = 0.0, 0.0
         matrix[at, at] = variance

@@ -13,6 +13,7 @@ from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows, 
 from pntegrity.estimators._ins_motion import Moved
 from pntegrity.estimators._ins_solution import Aside, antenna, antenna_of, inertial_names, with_aside
 from pntegrity.estimators._ins_start import begun
+from pntegrity.estimators._ins_still import standing, zero_velocity
 from pntegrity.estimators._layout import columns
 from pntegrity.estimators._navigation import MOTION, Stack, stack, use
 from pntegrity.kernels.linear import symmetric
@@ -67,9 +68,12 @@ def correct(prior: Prior, epoch: Epoch, options: GnssOptions, exclude: frozenset
     rate, noise = rate_rows(epoch, *antenna(prior.state), options), options.noise
     rows = stack(prior, code, rate, noise.code_white_m * code.scale, noise.doppler_mps * rate.scale)
     rows = replace(rows, H=_with_arm(prior.state, rows.H, len(code.keys)))
+    if standing(epoch.imu, prior.state, options.ins):
+        rows = rows.plus(zero_velocity(prior.state))
     allowed = np.array([group_of(k) not in exclude for k in rows.keys], dtype=bool)
     used, screening = screened(prior, rows, allowed, code.los, options.ins.fde == "ours")
-    update = use(prior, rows, used).altered(screening=screening)
+    shown = used | ~allowed  # rows of an excluded group are spare, to prove themselves
+    update = use(prior, rows.take(shown), used[shown]).altered(screening=screening)
     since = _refused_since(prior, rows.keys, used & allowed, allowed)
     return with_aside(update, update.posterior.aside.with_(refused_since_ns=since))
 

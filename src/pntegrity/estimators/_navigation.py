@@ -94,6 +94,18 @@ class Stack:
     variance: FloatArray
     angles: dict[str, FloatArray]
 
+    def plus(self, other: Stack) -> Stack:
+        """Return these rows and others behind them."""
+        angles = {name: np.concatenate([values, other.angles[name]]) for name, values in self.angles.items()}
+        nu, variance = np.concatenate([self.nu, other.nu]), np.concatenate([self.variance, other.variance])
+        return Stack(self.keys + other.keys, nu, np.vstack([self.H, other.H]), variance, angles)
+
+    def take(self, rows: npt.NDArray[np.bool_]) -> Stack:
+        """Return only some rows."""
+        keys = tuple(k for k, r in zip(self.keys, rows, strict=True) if r)
+        angles = {name: values[rows] for name, values in self.angles.items()}
+        return Stack(keys, self.nu[rows], self.H[rows], self.variance[rows], angles)
+
 
 def stack(
     prior: Prior, code: Rows, rate: Rows, code_sigma_m: FloatArray, rate_sigma_mps: FloatArray

@@ -45,6 +45,8 @@ class NoiseModel:
         Range rate noise, scaled like code.
     cn0_ref_dbhz : float
         Below this C/N0 the noise grows, tenfold for 20 dB.
+    elevation_power : float
+        Noise grows with this power of ``1 / sin(elevation)``; 0 where C/N0 tells all, as in cities.
     accel_mps2 : float
         White acceleration, m/s^2/sqrt(Hz).
     clock_m : float
@@ -102,6 +104,7 @@ class NoiseModel:
     bds2_factor: float = 2.0
     doppler_mps: float = 0.01
     cn0_ref_dbhz: float = 35.0
+    elevation_power: float = 1.0
     accel_mps2: float = 2.0
     clock_m: float = 0.05
     clock_drift_mps: float = 0.05
@@ -154,7 +157,8 @@ class NoiseModel:
         C/N0.
         """
         low = np.nan_to_num(self.cn0_ref_dbhz - cn0_dbhz, nan=0.0)
-        return np.asarray(10.0 ** (np.maximum(low, 0.0) / 20.0) / np.sin(np.maximum(el_rad, np.deg2rad(3.0))))
+        low_sky = np.sin(np.maximum(el_rad, np.deg2rad(3.0))) ** self.elevation_power
+        return np.asarray(10.0 ** (np.maximum(low, 0.0) / 20.0) / low_sky)
 
     def obliquity(self, el_rad: FloatArray) -> FloatArray:
         """Return by how much the slow errors are larger than at the zenith."""
@@ -296,9 +300,10 @@ PPP_RTK_PUBLISHED = replace(
     PPP_RTK, ambiguity_m=0.0, product_tau_s=0.0, correlated_part=0.0, name="published"
 )
 
-#: What a receiver in a city starts from: reflected signals are an error of each satellite that lasts a minute
-#: and grows as C/N0 falls; what is larger is for the tests. Clocks are those of a cheap oscillator.
+#: What a receiver in a city starts from: multipath is an error of each satellite that lasts a minute, larger
+#: where C/N0 is low, at any elevation; what is larger is for the tests. The clock is that of a cheap oscillator.
 CITY = NoiseModel(
-    code_white_m=0.7, code_multipath_m=2.0, code_multipath_tau_s=60.0, code_bias_m=0.0, doppler_mps=0.1,
-    cn0_ref_dbhz=45.0, bds2_factor=1.0, clock_m=0.1, clock_drift_mps=0.1, isb_m=0.01, name="city",
+    code_white_m=0.7, code_multipath_m=1.0, code_multipath_tau_s=60.0, code_bias_m=0.0, doppler_mps=0.05,
+    cn0_ref_dbhz=45.0, elevation_power=0.0, bds2_factor=1.0, clock_m=0.1, clock_drift_mps=0.1, isb_m=0.01,
+    name="city",
 )  # fmt: skip
