@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pntegrity.bounds.ism import Ism
     from pntegrity.monitors.aime import Aime
+    from pntegrity.monitors.factor_set import FactorSetTest
     from pntegrity.monitors.glr import Glr
     from pntegrity.monitors.rctm import Rctm
     from pntegrity.monitors.separation import Separation
@@ -23,12 +24,13 @@ if TYPE_CHECKING:
 
 __version__ = "0.3.0"
 __all__ = [
-    "Aime", "Glr", "Ism", "Pipeline", "Rctm", "Separation", "Sraime", "Srctm", "Update", "Verdict", "Watch",
-    "__version__",
+    "Aime", "FactorSetTest", "Glr", "Ism", "Pipeline", "Rctm", "Separation", "Sraime", "Srctm", "Update",
+    "Verdict", "Watch", "__version__",
 ]  # fmt: skip
 
 _HOME = {
     "Aime": "monitors.aime",
+    "FactorSetTest": "monitors.factor_set",
     "Glr": "monitors.glr",
     "Ism": "bounds.ism",
     "Pipeline": "pipeline",

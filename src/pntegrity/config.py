@@ -10,11 +10,12 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from pntegrity.bounds.ism import Ism
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover as discover_estimators
+from pntegrity.inertial import InertialConfig
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import parse_fault
@@ -35,19 +36,18 @@ __all__ = [
 Metres = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class RunConfig(BaseModel):
+class RunConfig(InertialConfig):
     """Everything that decides what a run computes.
 
     Files are as given on the command line; `faults` are in the grammar of ``simulate.faults``; `noise` is a
     table of fields of `NoiseModel`, or a file that ``calibrate`` wrote; `ism` is the integrity support
     message, a table of fields of `Ism`, whose own ``noise`` table wins. `monitors` are those that suit the
     estimator where none is named. `monitor` holds options of single
-    monitors, for instance ``[monitor.aime] window = 10``.
+    monitors, for instance ``[monitor.aime] window = 10``. Fields of the inertial side are those of
+    `InertialConfig`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    obs: Path
+    obs: Path | None = None
     nav: tuple[Path, ...] = ()
     sp3: tuple[Path, ...] = ()
     clk: tuple[Path, ...] = ()
@@ -127,11 +127,23 @@ class RunConfig(BaseModel):
         if given and not self.sp3:
             raise ValueError(f"`{given[0]}` goes with precise orbits: give them with --sp3")
         self._check_corrections()
-        if not self.nav and not self.sp3:
-            raise ValueError("give navigation files (--nav), or precise orbits (--sp3)")
+        self._check_sources()
+        self.check_inertial(self.estimator)
         self.noise_model()
         self.build_monitors()
         return self
+
+    def _check_sources(self) -> None:
+        """Refuse too few and too many files to start from."""
+        if self.fixes is not None:
+            given = [name for name in ("obs", "nav", "sp3") if getattr(self, name)]
+            if given:
+                raise ValueError(f"give `fixes` or `{given[0]}`, not both")
+            return
+        if self.obs is None:
+            raise ValueError("give observations (--obs), or with --estimator gnss_ins fixes (--fixes)")
+        if not self.nav and not self.sp3:
+            raise ValueError("give navigation files (--nav), or precise orbits (--sp3)")
 
     def _check_corrections(self) -> None:
         """Refuse corrections that nothing would use."""

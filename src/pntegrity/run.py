@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,17 +13,19 @@ from pntegrity.config import RunConfig
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover
 from pntegrity.estimators._gnss import GnssOptions
+from pntegrity.estimators._ins_options import InsOptions
 from pntegrity.exclusion import Policy
 from pntegrity.formats.atmosphere import read_atmosphere
 from pntegrity.formats.products import ProductFiles
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import SignalTable, read_observations
 from pntegrity.formats.truth import read_truth
-from pntegrity.logs import clas_log, precise_log, with_atmosphere
+from pntegrity.inertial import fixes_of, with_imu
+from pntegrity.logs import Span, clas_log, precise_log, with_atmosphere
 from pntegrity.physics.gnss_epochs import GnssEpochs, gnss_epochs
 from pntegrity.physics.time import from_iso, to_iso
 from pntegrity.pipeline import Outcome, Pipeline, uncollected
-from pntegrity.records import Epoch, FloatArray, group_of
+from pntegrity.records import Epoch, group_of
 from pntegrity.report.blind_spots import blind_spots
 from pntegrity.report.facts import RunFacts
 from pntegrity.sensors.noise import NoiseModel
@@ -60,17 +63,38 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
     InputError
         Naming the file and what to do.
     """
+    if config.imu is not None:
+        config.ins_options(config.variant)  # its files are read before the long ones
+    loaded = _observed(config) if config.fixes is None else _fixes(config)
+    if config.imu is not None:
+        notes: list[str] = []
+        epochs = with_imu(config, loaded.epochs, options_for(config, loaded), notes)
+        loaded = replace(loaded, epochs=epochs, notes=(*loaded.notes, *notes))
+    faults = [parse_fault(text) for text in config.faults]
+    return replace(loaded, epochs=tuple(_with_faults(loaded.epochs, faults)))
+
+
+def _observed(config: RunConfig) -> GnssEpochs:
+    assert config.obs is not None
     table = read_observations(config.obs)
-    span = _time(config.start, table), _time(config.end, table)
+    span = _span(config, int(table.t_ns[0]))
     loaded = (_precise if config.sp3 else _clas if config.clas else _broadcast)(config, table, span)
     if config.atmosphere is not None:
         loaded = with_atmosphere(loaded, read_atmosphere(config.atmosphere))
-    faults = [parse_fault(text) for text in config.faults]
-    epochs = _with_faults(loaded.epochs, faults)
-    return replace(loaded, epochs=tuple(epochs), notes=table.notes + loaded.notes)
+    return replace(loaded, notes=table.notes + loaded.notes)
 
 
-def _broadcast(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
+def _fixes(config: RunConfig) -> GnssEpochs:
+    notes: list[str] = []
+    epochs = fixes_of(config, notes)
+    start, end = _span(config, epochs[0].t_ns)
+    inside = [e for e in epochs if (start is None or e.t_ns >= start) and (end is None or e.t_ns <= end)]
+    if not inside:
+        raise InputError("no fix lies between --start and --end", path=config.fixes)
+    return GnssEpochs(tuple(inside), tuple(notes), None)
+
+
+def _broadcast(config: RunConfig, table: SignalTable, span: Span) -> GnssEpochs:
     precise = discover()[config.estimator].bands != "one"  # these have no model of the ionosphere
     found = gnss_epochs(
         table,
@@ -83,7 +107,7 @@ def _broadcast(config: RunConfig, table: SignalTable, span: tuple[int | None, in
     return replace(found, notes=(*BROADCAST_NOTES, *found.notes)) if precise else found
 
 
-def _precise(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
+def _precise(config: RunConfig, table: SignalTable, span: Span) -> GnssEpochs:
     files = ProductFiles(
         config.sp3, config.clk, config.bias, config.antex, config.blq, config.erp, config.station, config.nav
     )
@@ -91,7 +115,7 @@ def _precise(config: RunConfig, table: SignalTable, span: tuple[int | None, int 
     return precise_log(table, files, config.systems, span, config.noise_model(), combined=not apart)
 
 
-def _clas(config: RunConfig, table: SignalTable, span: tuple[int | None, int | None]) -> GnssEpochs:
+def _clas(config: RunConfig, table: SignalTable, span: Span) -> GnssEpochs:
     return clas_log(
         table, config.nav, config.clas, config.clas_grid, config.systems, span, config.noise_model()
     )
@@ -115,12 +139,16 @@ def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[E
     return apply_faults(epochs, faults) if faults else epochs
 
 
-def _time(text: str | None, table: SignalTable) -> int | None:
+def _span(config: RunConfig, first_ns: int) -> Span:
+    return _time(config.start, first_ns), _time(config.end, first_ns)
+
+
+def _time(text: str | None, first_ns: int) -> int | None:
     """Return a time given as seconds from the first epoch or as GPS time in ISO form."""
     if text is None:
         return None
     try:
-        return int(table.t_ns[0]) + round(float(text) * 1e9)
+        return first_ns + round(float(text) * 1e9)
     except ValueError:
         pass
     try:
@@ -154,13 +182,15 @@ def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None 
         noise=noise or config.noise_model(), mask_rad=float(np.deg2rad(config.mask_deg)),
         klobuchar=loaded.klobuchar,
         doppler=config.doppler, motion=config.motion, max_gap_s=discover()[config.estimator].max_gap_s,
+        ins=config.ins_options(config.variant) if config.imu is not None else InsOptions(),
     )  # fmt: skip
 
 
 def pipeline_for(config: RunConfig, loaded: GnssEpochs) -> Pipeline:
     """Return the pipeline of a configuration."""
     estimator = discover()[config.estimator](options_for(config, loaded))
-    policy = Policy(exclude=config.exclude, p_fa=config.p_fa, **estimator.policy)
+    chosen: dict[str, Any] = {"exclude": config.exclude, "p_fa": config.p_fa}
+    policy = Policy(**(chosen | dict(estimator.policy)))
     return Pipeline(estimator, config.build_monitors(), policy)
 
 
@@ -191,10 +221,12 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
         estimator=config.estimator,
         config=config.model_dump(mode="json"),
         noise_name=noise.name,
-        blind_spots=blind_spots(config.estimator, noise, config.motion, config.build_monitors()),
+        blind_spots=blind_spots(
+            config.estimator, noise, config.motion, config.build_monitors(), options_for(config, loaded).ins
+        ),
         products=loaded.products,
         protection=config.ism_model().to_table() if "separation" in config.monitors else {},
-        truth_m=_truth(config, [o.t_ns for o in outcomes]),
+        **_truth(config, [o.t_ns for o in outcomes]),
         notes=loaded.notes,
         faults=tuple(describe(parse_fault(f)) for f in config.faults),
         started=to_iso(loaded.epochs[0].t_ns) if loaded.epochs else "",
@@ -202,10 +234,19 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
     )
 
 
-def _truth(config: RunConfig, t_ns: list[int]) -> FloatArray | None:
+def _truth(config: RunConfig, t_ns: list[int]) -> dict[str, Any]:
+    """Return what is known of the truth at the epochs, by field of `RunFacts`."""
     if config.truth_ecef_m is not None:
-        return np.tile(np.array(config.truth_ecef_m), (len(t_ns), 1))
+        return {"truth_m": np.tile(np.array(config.truth_ecef_m), (len(t_ns), 1))}
     if config.truth is None:
-        return None
-    position, valid = read_truth(config.truth).at(np.array(t_ns, dtype=np.int64))
-    return np.where(valid[:, None], position, np.nan)
+        return {}
+    truth, t = read_truth(config.truth), np.array(t_ns, dtype=np.int64)
+    position, valid = truth.at(t)
+    out = {"truth_m": np.where(valid[:, None], position, np.nan)}
+    since, known_s = (t - truth.t_ns[0]) * 1e-9, (truth.t_ns - truth.t_ns[0]) * 1e-9
+    angles = None if truth.attitude_rad is None else np.unwrap(truth.attitude_rad, axis=0)
+    for name, rows in (("truth_velocity_mps", truth.velocity_mps), ("truth_attitude_rad", angles)):
+        if rows is not None and len(t):
+            there = np.stack([np.interp(since, known_s, column) for column in rows.T], axis=1)
+            out[name] = np.where(valid[:, None], there, np.nan)
+    return out

@@ -36,7 +36,7 @@ def test_the_page_tells_every_default() -> None:
     page, table = PAGE.read_text(encoding="utf-8"), Ism().to_table()
     told = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", page, re.MULTILINE))
     for name, value in table.items():
-        if name in ("satellites", "constellations", "noise"):
+        if name in ("satellites", "constellations", "noise", "together"):
             continue
         numbers = value if isinstance(value, list) else [value]
         assert [float(v) for v in told[name].split(", ")] == numbers, name
@@ -48,6 +48,9 @@ def test_a_table_and_back_is_the_same_message() -> None:
         constellations=(("C", 1e-4, 1e-3),),
         noise=(("code_m", 0.3),),
         hal_m=40.0,
+        sectors=8,
+        p_sector=1e-4,
+        together=(("mast", ("E11", "G05"), 1e-3), ("tram", ("lbl", "G05"), 1e-4)),
     )
     assert Ism.from_table(ism.to_table()) == ism
     assert hash(Ism.from_table(ism.to_table())) == hash(ism)
@@ -100,6 +103,19 @@ def test_what_cannot_be_is_refused_by_name(field: str, value: object) -> None:
         ({"constellations": {"G": {"p_sat": 0.9, "p_constellation": 0.0}}, "p_user": 0.2}, "other causes"),
         ({"noise": {"code_m": "much"}}, "noise.code_m"),
         ({"p_sat": 0.6, "p_user": 0.6}, "p_sat + p_dcb"),
+        ({"sectors": 4, "sector_width_deg": 80.0, "p_sector": 1e-4}, "at least 90 where there are 4 sectors"),
+        ({"sectors": 4}, "p_sector"),
+        ({"sectors": 4.0, "p_sector": 1e-4}, "sectors"),
+        ({"sectors": 361, "p_sector": 1e-4}, "at most 360"),
+        ({"together": {"name": "tram"}}, "together"),
+        ({"together": [{"name": "tram", "groups": ["G05"]}]}, "probability"),
+        ({"together": [{"name": "tram", "groups": "G05", "probability": 0.0}]}, "together"),
+        ({"together": [{"name": "tram", "groups": [], "probability": 0.0}]}, "together.tram.groups"),
+        ({"together": [{"name": "tram", "groups": ["G05:C1C"], "probability": 0.0}]}, "together.tram.groups"),
+        ({"together": [{"name": "tram", "groups": ["G05"], "probability": 2.0}]}, "tram.probability"),
+        ({"together": [{"name": "az045", "groups": ["G05"], "probability": 0.1}]}, "az045"),
+        ({"together": [{"name": "G05", "groups": ["G05"], "probability": 0.1}]}, "names of its own"),
+        ({"together": 2 * [{"name": "tram", "groups": ["G05"], "probability": 0.1}]}, "different names"),
     ],
 )  # fmt: skip
 def test_a_wrong_table_is_refused_by_name(table: dict[str, object], names: str) -> None:

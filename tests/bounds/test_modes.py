@@ -109,7 +109,7 @@ def test_pairs_inside_a_constellation_are_counted_as_its_fault() -> None:
     assert by_name["G"].probability == pytest.approx(1e-4 + 3e-10, rel=1e-12)
     assert "E01+G01" in by_name
     assert "G+G01" not in by_name
-    assert set(by_name["E01+G"].patterns) == {"G[0-9]*:*", "*:G[0-9]*", "E01:*", "*:E01"}
+    assert set(by_name["E01+G"].patterns) == {"G[0-9][0-9]:*", "*:G[0-9][0-9]", "E01:*", "*:E01"}
 
 
 def test_a_rare_constellation_fault_does_not_take_on_all_pairs() -> None:
@@ -139,6 +139,12 @@ def test_the_events_of_a_sky() -> None:
     assert rows(events["G"].patterns, KEYS) == {k for k in KEYS if "G0" in k}
     assert rows(events["iono"].patterns, KEYS) == {k for k in KEYS if k.startswith("iono:")}
     assert events_of(Ism(p_other=0.0), ("z0",)) == ()
+
+
+def test_a_constellation_takes_no_signals_of_its_letter_from_others() -> None:
+    keys = ("G05:C1C", "G05:L1C", "G05:S1C", "C05:C2I", "C05:L2I", "iono:C05", "iono:G05")
+    events = {e.name: e for e in events_of(Ism(p_constellation=1e-4), ("C05", "G05", "iono"))}
+    assert rows(events["C"].patterns, keys) == {"C05:C2I", "C05:L2I", "iono:C05"}
 
 
 def test_without_faults_there_is_nothing_to_monitor() -> None:

@@ -49,7 +49,7 @@ def test_every_monitor_has_a_page_and_every_command_a_section() -> None:
     pages = {p.stem for p in (ROOT / "docs" / "monitors").glob("*.md")}
     assert set(discover()) <= pages
     sections = re.findall(
-        r"^## `(\w+)`", (ROOT / "docs" / "cli.md").read_text(encoding="utf-8"), re.MULTILINE
+        r"^## `([\w-]+)`", (ROOT / "docs" / "cli.md").read_text(encoding="utf-8"), re.MULTILINE
     )
     assert set(COMMANDS) == set(sections)
 

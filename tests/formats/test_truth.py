@@ -5,7 +5,7 @@ import pytest
 
 from pntegrity.errors import InputError
 from pntegrity.formats.truth import Truth, read_truth
-from pntegrity.physics.frames import ecef_to_geodetic
+from pntegrity.physics.frames import ecef_to_geodetic, enu_rotations
 from pntegrity.physics.time import from_iso, from_week_tow
 
 T0 = int(from_week_tow(2036, 108900.0))
@@ -52,6 +52,37 @@ def test_velocity_in_east_north_up_keeps_its_length_and_the_vertical(save):
     lat, lon, _ = ecef_to_geodetic(XYZ)
     up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     assert up @ v == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize(
+    "names",
+    ["Roll (deg),Pitch (deg),Heading (deg)", "roll_deg,pitch_deg,yaw_deg", "att2_deg,att1_deg,heading_deg"],
+)
+def test_attitude_is_roll_pitch_heading_in_radians(save, names):
+    text = f"t_ns,x_m,y_m,z_m,{names}\n{T0},1e6,2e6,3e6,1.0,-2.0,270.5\n{T0 + 1},1e6,2e6,3e6,1.0,?,270.5\n"
+    t = read_truth(save(text, "t.csv"))
+    np.testing.assert_allclose(t.attitude_rad[0], np.radians([1.0, -2.0, 270.5]))
+    assert np.isnan(t.attitude_rad[1]).tolist() == [False, True, False]
+    assert not t.attitude_rad.flags.writeable
+
+
+def test_without_all_three_angles_there_is_no_attitude(save):
+    text = f"t_ns,x_m,y_m,z_m,pitch_deg,heading_deg\n{T0},1e6,2e6,3e6,1.0,270.5\n"
+    assert read_truth(save(text, "t.csv")).attitude_rad is None
+
+
+def test_the_nose_of_real_vehicles_points_along_their_way(shared):
+    """Heading is the course, pitch the slope; the unit of the van sits a degree askew in it."""
+    for name in ("nagoya-truth/20230711/reference.csv.gz", "cpt-van-2019087/cpt_pva_ref.csv.gz"):
+        t = read_truth(shared / name)
+        east, north, up = np.einsum("nij,nj->in", enu_rotations(t.position_m), t.velocity_mps)
+        speed = np.hypot(east, north)
+        fast = speed > 5.0
+        off = np.angle(np.exp(1j * (np.arctan2(east, north) - t.attitude_rad[:, 2])))[fast]
+        assert abs(np.degrees(np.median(off))) < 1.5
+        pitch, slope = t.attitude_rad[fast, 1], np.arctan2(up, speed)[fast]
+        roll = t.attitude_rad[fast, 0]
+        assert np.corrcoef(pitch, slope)[0, 1] > max(0.5, 2.0 * abs(np.corrcoef(roll, slope)[0, 1]))
 
 
 def test_interpolation_is_linear_and_stops_at_gaps():

@@ -169,3 +169,14 @@ def test_ticks_lie_within_the_axis_and_say_their_value(low, high):
     assert 1 <= len(t["tickvals"]) <= 9
     assert all(low <= v <= high for v in t["tickvals"])
     assert [float(x) for x in t["ticktext"]] == pytest.approx(t["tickvals"])
+
+
+def test_sectors_and_groups_are_told_where_there_are_any(bounded, told):
+    without = make(bounded, replace(told, protection=PROMISE | {"sectors": 0, "p_sector": 0.0}))
+    assert "sector" not in without[without.index("What the levels promise") : without.index("<script")]
+    groups = {"name": "canyon", "groups": ["G05", "E12"], "probability": 1e-3}
+    more = {"sectors": 4, "sector_width_deg": 90.0, "p_sector": 2e-4, "together": [groups]}
+    text = make(bounded, replace(told, protection=PROMISE | more))
+    assert "<th>An azimuth sector</th><td>0.0002</td>" in text
+    assert "<th>Azimuth sectors</th><td>4</td>" in text
+    assert "<th>canyon</th><td>0.001</td><td>G05 and E12 at once</td>" in text

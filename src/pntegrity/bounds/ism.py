@@ -11,7 +11,7 @@ from typing import Any
 
 from pntegrity.states import is_satellite
 
-__all__ = ["Ism"]
+__all__ = ["CITY", "Ism"]
 
 Three = tuple[float, float, float]
 SPLIT = (0.25, 0.25, 0.5)
@@ -39,6 +39,14 @@ class Ism:
         Satellites with a probability of their own, in place of the sum above.
     constellations : tuple of (str, float, float)
         Letter, `p_sat` and `p_constellation` of constellations that differ.
+    sectors : int
+        How many azimuth sectors there are, evenly around; their satellites fail together. 0: none.
+    sector_width_deg : float
+        Width of each; where it is more than ``360 / sectors`` they overlap.
+    p_sector : float
+        All satellites of one sector at once.
+    together : tuple of (str, tuple of str, float)
+        Further groups that fail together: a name, the groups and the probability.
     p_hmi : float
         Integrity risk over the exposure time: an error beyond a protection level and no alert.
     exposure_s : float
@@ -80,6 +88,10 @@ class Ism:
     p_other: float = 1e-5
     satellites: tuple[tuple[str, float], ...] = ()
     constellations: tuple[tuple[str, float, float], ...] = ()
+    sectors: int = 0
+    sector_width_deg: float = 90.0
+    p_sector: float = 0.0
+    together: tuple[tuple[str, tuple[str, ...], float], ...] = ()
     p_hmi: float = 1e-7
     exposure_s: float = 3600.0
     independent_epochs: float = 1.0
@@ -109,8 +121,7 @@ class Ism:
         for name in ("split", "fa_split"):
             _check_shares(name, getattr(self, name))
         _check("unmonitored_share", self.unmonitored_share, 0.0, 1.0)
-        if not isinstance(self.max_modes, int) or isinstance(self.max_modes, bool) or self.max_modes < 1:
-            raise ValueError(f"`max_modes` must be a whole number of at least 1, not {self.max_modes!r}")
+        _check_whole("max_modes", self.max_modes, 1)
         for name, value in self.noise:
             _check(f"noise.{name}", value, 0.0)
 
@@ -128,6 +139,24 @@ class Ism:
                 f"constellations.{letter}.p_sat with its other causes", self._of_any(p_sat, True), 0.0, 1.0
             )
             _check(f"constellations.{letter}.p_constellation", p_all, 0.0, 1.0)
+        self._check_sectors()
+        for one in self.together:
+            _check_together(one)
+        names = [name for name, _, _ in self.together]
+        if len(set(names)) < len(names):
+            raise ValueError(f"`together` must have different names, not {names!r}")
+
+    def _check_sectors(self) -> None:
+        _check_whole("sectors", self.sectors, 0, 360)
+        _check("sector_width_deg", self.sector_width_deg, 0.0, 360.0)
+        if self.sectors and self.sectors * self.sector_width_deg < 360.0:
+            least = 360.0 / self.sectors
+            raise ValueError(
+                f"`sector_width_deg` must be at least {least:g} where there are {self.sectors} sectors, "
+                f"not {self.sector_width_deg!r}: they would leave gaps"
+            )
+        if self.sectors and not self.p_sector:
+            raise ValueError("`p_sector` must be above 0 where there are `sectors`, not 0")
 
     def _of_any(self, p_sat: float, products: bool) -> float:
         return p_sat + self.p_dcb + self.p_user + (self.p_iono_sat if products else 0.0)
@@ -190,6 +219,8 @@ class Ism:
         for name in ("satellites", "noise", "constellations"):
             if name in given:
                 given[name] = _pairs(name, given[name])
+        if "together" in given:
+            given["together"] = _together(given["together"])
         return cls(**given)
 
     def to_table(self) -> dict[str, Any]:
@@ -198,11 +229,14 @@ class Ism:
         out["split"], out["fa_split"] = list(self.split), list(self.fa_split)
         out["satellites"], out["noise"] = dict(self.satellites), dict(self.noise)
         out["constellations"] = {c: {"p_sat": p, "p_constellation": q} for c, p, q in self.constellations}
+        out["together"] = [{"name": n, "groups": list(g), "probability": p} for n, g, p in self.together]
         return out
 
 
 #: Checked to lie from 0 to 1.
-FAULTS = ("p_sat", "p_dcb", "p_iono_sat", "p_user", "p_constellation", "p_trop", "p_iono", "p_other")
+FAULTS = (
+    "p_sat", "p_dcb", "p_iono_sat", "p_user", "p_constellation", "p_sector", "p_trop", "p_iono", "p_other",
+)  # fmt: skip
 #: Checked to lie above the first and below the second.
 OPEN = (("p_hmi", 0.0, 1.0), ("p_fa", 0.0, 0.5), ("p_emt", 0.0, 1.0), ("exposure_s", 0.0, float("inf")))
 #: Checked to be finite and at least this.
@@ -220,6 +254,26 @@ def _check(name: str, value: Any, low: float, high: float = float("inf"), inside
     upper = f" and {'below' if inside else 'at most'} {high:g}" if isfinite(high) else ""
     least = f"{'above' if inside else 'of at least'} {low:g}"
     raise ValueError(f"`{name}` must be a number {least}{upper}, not {value!r}")
+
+
+def _check_whole(name: str, value: Any, low: int, high: float = float("inf")) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        upper = f" and at most {high:g}" if isfinite(high) else ""
+        raise ValueError(f"`{name}` must be a whole number of at least {low}{upper}, not {value!r}")
+
+
+#: What names a group or event by itself.
+TAKEN = re.compile(r"|[A-Z](\d\d)?|az\d{3}|trop|iono|.*[:+].*")
+
+
+def _check_together(one: Any) -> None:
+    name, groups, p = one
+    if not isinstance(name, str) or TAKEN.fullmatch(name):
+        raise ValueError(f"`together` must have names of its own, without `:` and `+`, not {name!r}")
+    fits = isinstance(groups, tuple) and all(isinstance(g, str) and g and ":" not in g for g in groups)
+    if not fits or not groups:
+        raise ValueError(f"`together.{name}.groups` must name groups such as G05, not {groups!r}")
+    _check(f"together.{name}.probability", p, 0.0, 1.0)
 
 
 def _check_limit(name: str, value: Any) -> None:
@@ -242,8 +296,38 @@ def _pairs(name: str, table: Any) -> tuple[tuple[Any, ...], ...]:
     return tuple(_constellation(letter, table[letter]) for letter in sorted(table))
 
 
+def _together(rows: Any) -> tuple[tuple[str, tuple[str, ...], float], ...]:
+    """Return the rows of `together`, sorted by name."""
+    wanted = {"name", "groups", "probability"}
+    if not isinstance(rows, (list, tuple)):
+        raise ValueError(f"`together` must be a list of tables, not {rows!r}")
+    for row in rows:
+        if not isinstance(row, Mapping) or set(row) != wanted or not isinstance(row["groups"], (list, tuple)):
+            raise ValueError(f"each `together` must hold name, groups and probability, not {row!r}")
+    out = [(row["name"], tuple(row["groups"]), row["probability"]) for row in rows]
+    return tuple(sorted(out, key=lambda one: str(one[0])))
+
+
 def _constellation(letter: str, row: Any) -> tuple[str, float, float]:
     wanted = {"p_sat", "p_constellation"}
     if not isinstance(row, Mapping) or set(row) != wanted:
         raise ValueError(f"`constellations.{letter}` must hold p_sat and p_constellation, not {row!r}")
     return letter, row["p_sat"], row["p_constellation"]
+
+
+CITY = Ism(
+    p_sat=1e-5,
+    p_user=4e-5,
+    p_constellation=1e-4,
+    constellations=(("G", 1e-5, 1e-8),),
+    sectors=8,
+    sector_width_deg=90.0,
+    p_sector=1e-4,
+    p_hmi=1e-5,
+    exposure_s=1.0,
+)
+"""For streets: satellites, sectors and constellations, at a risk of 1e-5 an epoch.
+
+Up to 50 satellites need no pairs: they stay unmonitored, with a probability below 8e-6. The reasons for each
+number are on the page "Integrity support message" of the documentation.
+"""

@@ -14,6 +14,8 @@ from functools import lru_cache
 from math import prod
 
 from pntegrity.bounds.ism import Ism
+from pntegrity.bounds.sectors import Sectors
+from pntegrity.errors import InputError
 from pntegrity.states import is_satellite
 
 __all__ = ["Event", "FaultModes", "Mode", "events_of", "fault_modes"]
@@ -67,31 +69,58 @@ class FaultModes:
 
 
 @lru_cache(maxsize=1024)
-def events_of(ism: Ism, groups: tuple[str, ...]) -> tuple[Event, ...]:
+def events_of(ism: Ism, groups: tuple[str, ...], sectors: Sectors = ()) -> tuple[Event, ...]:
     """Return the events of non-zero probability for the groups that are there, sorted by name.
+
+    A sector of one satellite is an event beside that of the satellite: both add to the risk, and who has
+    known its first satellite never counts as without the sector.
 
     Parameters
     ----------
     ism : Ism
     groups : tuple of str
         ``"G05"`` (a satellite: a letter and two digits), ``"trop"``, ``"iono"``, or any other.
+    sectors : tuple of (str, tuple of str)
+        Azimuth sectors and their satellites (`sectors.with_risen`); those that are not there do not count.
+
+    Raises
+    ------
+    InputError
+        Where a group has the name of groups that fail together.
     """
     groups = tuple(sorted(set(groups)))
     satellites = tuple(g for g in groups if is_satellite(g))
     events = [_event(ism, g, "iono" in groups) for g in groups]
     events += [_constellation(ism, c, satellites) for c in sorted({s[0] for s in satellites})]
+    together = [*((name, own, ism.p_sector) for name, own in sectors), *ism.together]
+    events += [_joint(name, own, p, groups) for name, own, p in together if not set(own).isdisjoint(groups)]
     return tuple(sorted((e for e in events if e.probability > 0.0), key=lambda e: e.name))
 
 
 def _event(ism: Ism, group: str, products: bool) -> Event:
     if is_satellite(group):
-        return Event(group, (f"{group}:*", f"*:{group}"), ism.satellite(group, products), (group,))
+        return Event(group, _patterns(group), ism.satellite(group, products), (group,))
     probability = {"trop": ism.p_trop, "iono": ism.p_iono}.get(group, ism.p_other)
-    return Event(group, (f"{group}:*",), probability, (group,))
+    return Event(group, _patterns(group), probability, (group,))
+
+
+def _patterns(group: str) -> tuple[str, ...]:
+    return (f"{group}:*", f"*:{group}") if is_satellite(group) else (f"{group}:*",)
+
+
+def _joint(name: str, own: tuple[str, ...], probability: float, groups: tuple[str, ...]) -> Event:
+    """Return the event of groups that fail together; those that are not there yet are in its patterns."""
+    if name in groups:
+        raise InputError(
+            f"`together` of the integrity support message has the name of a group of rows, {name!r}",
+            hint="give it another name",
+        )
+    patterns = tuple(p for g in own for p in _patterns(g))
+    return Event(name, patterns, probability, tuple(g for g in sorted(own) if g in groups))
 
 
 def _constellation(ism: Ism, letter: str, satellites: tuple[str, ...]) -> Event:
-    patterns = (f"{letter}[0-9]*:*", f"*:{letter}[0-9]*")
+    patterns = (f"{letter}[0-9][0-9]:*", f"*:{letter}[0-9][0-9]")  # `G05:C1C` is no row of BeiDou
     own = tuple(s for s in satellites if s[0] == letter)
     return Event(letter, patterns, ism.constellation(letter)[1], own)
 

@@ -20,6 +20,7 @@ COMMANDS = {
     "monitor": "Run monitors again on a recorded run, without the raw data.",
     "audit": "Does a monitor keep its false-alarm rate on this geometry, and what would it see?",
     "calibrate": "Fit the noise model to a receiver's log.",
+    "train-factors": "Thresholds of factor-set detection from logs without faults.",
     "products": "Products of the atmosphere from a station whose place is known.",
     "reproduce": "A published experiment, beside its published figures.",
     "evidence": "The measured figures behind docs/results.md.",
@@ -35,7 +36,7 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        command: click.Command = importlib.import_module(f"pntegrity.cli.{name}").command
+        command: click.Command = importlib.import_module(f"pntegrity.cli.{name.replace('-', '_')}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -54,8 +54,8 @@ INPUT = [
     ),
     click.option(
         "--estimator",
-        help="spp (snapshot), spp_kf (Kalman filter), ppp (precise, with --sp3) or ppp_rtk (with --sp3 and "
-        "--atmosphere, or --clas).  [spp_kf]",
+        help="spp (snapshot), spp_kf (Kalman filter), ppp (precise, with --sp3), ppp_rtk (with --sp3 and "
+        "--atmosphere, or --clas) or gnss_ins (with --imu).  [spp_kf]",
     ),
     click.option(
         "--motion",
@@ -76,6 +76,51 @@ INPUT = [
         "--start", help="First epoch: seconds from the start, or GPS time like 2019-01-14T06:20:00."
     ),
     click.option("--end", help="Last epoch."),
+]
+INERTIAL = [
+    click.option(
+        "--imu",
+        type=click.Path(path_type=Path),
+        help="Table of an IMU for gnss_ins: CSV, units in its names.",
+    ),
+    click.option("--imu-spec", help="Its errors: stim300, low-cost, or a TOML file.  [stim300]"),
+    click.option(
+        "--imu-axes",
+        help="Its axes that point forward, right, down: x,y,z or -x,y,-z; frd, flu, rfu.  [x,y,z]",
+    ),
+    click.option("--imu-mount-deg", help="Roll,pitch,yaw of the unit in the vehicle, degrees.  [0,0,0]"),
+    click.option("--imu-lag-s", help="By how much its stamps are late, seconds, or auto.  [0]"),
+    click.option("--imu-start", help="GPS time of second 0, where times are bare seconds."),
+    click.option("--lever-arm", help="From the IMU to the antenna, forward,right,down, metres.  [0,0,0]"),
+    click.option(
+        "--coupling",
+        type=click.Choice(["tight", "loose"]),
+        help="Pseudoranges and range rates in the filter, or a fix of them.  [tight; loose with --fde "
+        "factor-set, lsr, and with --fixes]",
+    ),
+    click.option(
+        "--fde",
+        type=click.Choice(["ours", "factor-set", "lsr", "none"]),
+        help="Fault detection of gnss_ins before it uses an epoch.  [ours]",
+    ),
+    click.option(
+        "--factors",
+        type=click.Path(path_type=Path),
+        help="Thresholds of --fde factor-set, written by `pntegrity train-factors`.",
+    ),
+    click.option(
+        "--fixes",
+        type=click.Path(path_type=Path),
+        help="A receiver's own fixes instead of --obs and --nav: RTKLIB .pos or CSV.",
+    ),
+    click.option("--fix-floor-m", type=float, help="Smallest sigma that is believed of fixes, m.  [0]"),
+    click.option("--fix-floor-mps", type=float, help="The same of their velocities, m/s.  [0]"),
+    click.option(
+        "--heading-deg", type=float, help="Heading at the first epoch, from north.  [from the course]"
+    ),
+    click.option(
+        "--zupt/--no-zupt", default=None, help="Use a standstill that the IMU shows as a measurement.  [no]"
+    ),
 ]
 MONITORING = [
     click.option(
@@ -103,6 +148,12 @@ MONITORING = [
         "--fault", "faults", multiple=True, help='Inject a fault, "G05 ramp 0.1 m/s 200:300"; repeatable.'
     ),
 ]
+#: Options of three numbers: option, field, what it is.
+TRIPLES = (
+    ("truth_ecef", "truth_ecef_m", "X,Y,Z in metres"),
+    ("lever_arm", "lever_arm_m", "FORWARD,RIGHT,DOWN in metres"),
+    ("imu_mount_deg", "imu_mount_deg", "ROLL,PITCH,YAW in degrees"),
+)
 
 
 def options(*groups: list[Command]) -> Command:
@@ -130,19 +181,20 @@ def build_config(values: dict[str, Any]) -> RunConfig:
         given["ism"] = read_ism(given["ism"])
     if "monitors" in given:
         given["monitors"] = tuple(n.strip() for n in given["monitors"].split(",") if n.strip())
-    if "truth_ecef" in given:
-        given["truth_ecef_m"] = _triple(given.pop("truth_ecef"))
+    for option, field, what in TRIPLES:
+        if option in given:
+            given[field] = _triple(option, given.pop(option), what)
     merged |= given
     precise = any(merged.get(name) for name in ("sp3", "clk", "bias", "antex", "blq", "erp"))
     for name in ("obs",) if precise else ("obs", "nav"):
-        if not merged.get(name):
+        if not merged.get(name) and not merged.get("fixes"):
             raise InputError(
                 f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config"
             )
     return make_config(merged)
 
 
-def _triple(text: str) -> tuple[float, ...]:
+def _triple(option: str, text: str, what: str) -> tuple[float, ...]:
     from pntegrity.errors import InputError
 
     try:
@@ -150,7 +202,7 @@ def _triple(text: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != 3:
-        raise InputError(f"--truth-ecef {text!r} is not three numbers X,Y,Z in metres")
+        raise InputError(f"--{option.replace('_', '-')} {text!r} is not three numbers {what}")
     return values
 
 

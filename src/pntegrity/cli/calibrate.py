@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from pntegrity.cli._shared import INPUT, build_config, options, progress_bar
+from pntegrity.cli._shared import INERTIAL, INPUT, build_config, options, progress_bar
 
 
 @click.command(
     "calibrate", help="Fit the noise model to the first part of a receiver's log and judge it on the rest."
 )
-@options(INPUT)
+@options(INPUT, INERTIAL)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Noise file to write (TOML).")
 @click.option(
     "--split", type=click.FloatRange(0.1, 0.9), default=0.5, show_default=True, help="Share that is fitted."

@@ -100,7 +100,7 @@ def _made(
         with threadpool_limits(1, user_api="blas"), uncollected():
             made = products_from_station(
                 loaded.epochs, place, options_for(config, loaded), latency_s=latency_s, interval_s=interval_s,
-                source=f"{config.obs.name} ({config.systems})", progress=progress,
+                source=f"{Path(config.obs or '').name} ({config.systems})", progress=progress,
             )  # fmt: skip
     return made, (*loaded.notes, *made.notes)
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pntegrity.cli._shared import INPUT, MONITORING, build_config, options, progress_bar
+from pntegrity.cli._shared import INERTIAL, INPUT, MONITORING, build_config, options, progress_bar
 
 if TYPE_CHECKING:
     from pntegrity.config import RunConfig
 
 
 @click.command("run", help="Monitor a real log: RINEX in, verdicts, exclusions and a report out.")
-@options(INPUT, MONITORING)
+@options(INPUT, INERTIAL, MONITORING)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

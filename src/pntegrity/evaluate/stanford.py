@@ -20,8 +20,9 @@ from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
-__all__ = ["Region", "Stanford", "regions", "stanford"]
+__all__ = ["Region", "Stanford", "plain_levels", "regions", "stanford"]
 
 
 class Region(IntEnum):
@@ -112,3 +113,33 @@ def stanford(
     """Return how many epochs stand in each region; see `regions` for the parameters."""
     found = np.bincount(regions(error_m, level_m, limit_m, alert), minlength=len(Region))
     return Stanford(**{r.name.lower(): int(found[r]) for r in Region})
+
+
+def plain_levels(
+    sigma_m: npt.ArrayLike, risk: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return horizontal and vertical levels of K sigma: what a filter could claim if nothing ever failed.
+
+    They stand beside protection levels in the same diagram: how many epochs are misleading without fault
+    hypotheses?
+
+    Parameters
+    ----------
+    sigma_m : array_like, shape (n, 3)
+        Standard deviations east, north and up, m (`Bound.sigma_m`).
+    risk : array_like, shape (3,)
+        Probability that an error is beyond its level, east, north and up (`Ism.risks`).
+
+    Returns
+    -------
+    horizontal, vertical : ndarray, shape (n,)
+        m; ``K = Q^-1(risk / 2)`` in each direction.
+
+    Examples
+    --------
+    >>> h, v = plain_levels([[3.0, 4.0, 2.0]], [0.05, 0.05, 0.05])
+    >>> round(float(h[0]), 2), round(float(v[0]), 2)
+    (9.8, 3.92)
+    """
+    levels = np.asarray(sigma_m, dtype=np.float64) * -special.ndtri(0.5 * np.asarray(risk, dtype=np.float64))
+    return np.hypot(levels[:, 0], levels[:, 1]), levels[:, 2]

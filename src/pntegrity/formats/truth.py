@@ -39,7 +39,12 @@ NAMES: dict[str, tuple[str, ...]] = {
     "ve": ("ve_mps", "east_velocity", "ve"),
     "vn": ("vn_mps", "north_velocity", "vn"),
     "vu": ("vu_mps", "up_velocity", "vu"),
+    "roll": ("roll_deg", "roll", "att2_deg"),
+    "pitch": ("pitch_deg", "pitch", "att1_deg"),
+    "heading": ("heading_deg", "heading", "yaw_deg", "azimuth_deg"),
 }
+"""The attitude of GINav's tables is pitch, roll, heading: ``att1_deg`` is pitch."""
+ATTITUDE = {"roll", "pitch", "heading"}
 BARE = ("gps_week", "tow_s", "lat_deg", "lon_deg", "height_m")
 """Columns of a table of five numbers a line without a header (UrbanNav's ground truth)."""
 
@@ -58,15 +63,18 @@ class Truth:
         ECEF.
     notes : tuple of str
         What was dropped.
+    attitude_rad : ndarray, shape (n, 3), or None
+        Roll (right side down), pitch (nose up), heading (clockwise from north); nan where one is not known.
     """
 
     t_ns: npt.NDArray[np.int64]
     position_m: FloatArray
     velocity_mps: FloatArray | None = None
     notes: tuple[str, ...] = ()
+    attitude_rad: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("t_ns", "position_m", "velocity_mps"):
+        for name in ("t_ns", "position_m", "velocity_mps", "attitude_rad"):
             value = getattr(self, name)
             if value is not None:
                 view = value.view()
@@ -99,7 +107,8 @@ def read_truth(path: Path | str) -> Truth:
     path : Path or str
         CSV, plain or gzip. Time: ``t_ns``, or ``gps_week`` and ``tow_s``, or ISO ``time_gps`` (GPS time).
         Position: ``x_m, y_m, z_m`` or ``lat_deg, lon_deg, height_m``. Velocity, optional: ``vx_mps, vy_mps,
-        vz_mps`` or ``ve_mps, vn_mps, vu_mps``. Or RTKLIB's ``.pos`` in GPST, geodetic degrees or ECEF.
+        vz_mps`` or ``ve_mps, vn_mps, vu_mps``. Attitude, optional: ``roll_deg, pitch_deg, heading_deg``. Or
+        RTKLIB's ``.pos`` in GPST, geodetic degrees or ECEF.
 
     Returns
     -------
@@ -287,7 +296,8 @@ def _truth(
         velocity = of("vx", "vy", "vz")
     elif {"ve", "vn", "vu"} <= column.keys():
         velocity = _from_enu(position, of("ve", "vn", "vu"))
-    return Truth(t_ns, position, velocity, notes)
+    attitude = np.radians(of("roll", "pitch", "heading")) if column.keys() >= ATTITUDE else None
+    return Truth(t_ns, position, velocity, notes, attitude)
 
 
 def _from_enu(position_m: FloatArray, enu: FloatArray) -> FloatArray:

@@ -21,7 +21,10 @@ from scipy import special
 
 FloatArray = npt.NDArray[np.float64]
 
-__all__ = ["dominant_mode", "false_alert_factor", "largest_threshold", "least_level", "protection_level"]
+__all__ = [
+    "dominant_mode", "false_alert_factor", "largest_threshold", "least_level", "observed_level",
+    "protection_level",
+]  # fmt: skip
 
 HALF_ROOT = sqrt(0.5)
 PEAK = 1.0 / sqrt(2.0 * pi)
@@ -87,6 +90,48 @@ def protection_level(
     """
     reach = _array(threshold) + _array(bias)
     return float(_level(float(risk), float(sigma0), float(bias0), _array(p), _array(sigma), reach))
+
+
+def observed_level(
+    risk: float,
+    sigma0: float,
+    bias0: float,
+    p: npt.ArrayLike,
+    sigma: npt.ArrayLike,
+    bias: npt.ArrayLike,
+    expected: npt.ArrayLike,
+    apart: npt.ArrayLike,
+) -> tuple[float, int]:
+    """Return the level that the error of the full solution exceeds with at most `risk`, without any test of
+    separations, and the mode that makes it as large as it is (-1: no fault does).
+
+    ``PL = L + max_i (|d_i| - c_i)^+``, where ``d_i`` is the separation observed (`apart`), ``c_i`` the one
+    `expected`, fixed before the data, and ``L`` the root of ``risk = 2 Q((L - bias0) / sigma0) + 2 sum_i p_i
+    Q((L - c_i - bias_i) / sigma_i)``.
+
+    It holds for any faults and separations, however these and the errors are correlated. Where mode ``i``
+    happened, ``|e_0| <= |d_i| + |e_i|`` and ``PL - |d_i| >= L - c_i``, so that ``P(|e_0| > PL) <= P(|e_i| >
+    L - c_i) <= 2 Q((L - c_i - bias_i) / sigma_i)``. Without a fault ``PL >= L`` gives ``2 Q((L - bias0) /
+    sigma0)``. These, times the probabilities of the modes, add up to `risk`. What is expected only moves
+    shares of the risk between modes. It must not depend on the data: with ``d_i`` in place of ``c_i`` in the
+    sum the error is compared with a limit that knows it (measured: up to twice the risk).
+
+    Parameters
+    ----------
+    risk, sigma0, bias0, p, sigma, bias
+        As for `protection_level`.
+    expected, apart : array_like, shape (n,)
+        m. Of a mode that nothing detects they do not count.
+
+    Returns
+    -------
+    level : float
+        m; inf where the risk is used up or `sigma0` is not finite.
+    mode : int
+    """
+    parts = (_array(a) for a in (p, sigma, bias, expected, apart))
+    level, mode = _observed(float(risk), float(sigma0), float(bias0), *parts)
+    return float(level), int(mode)
 
 
 def least_level(
@@ -210,6 +255,25 @@ def _level(risk: float, s0: float, b0: float, p: FloatArray, sigma: FloatArray, 
     at_low = np.array([p[i] * _tail((low - reach[i]) / sigma[i]) for i in range(len(p))])
     keep = at_low > NEGLIGIBLE * left / max(len(p), 1)
     return _root(left, low, high, s0, b0, p[keep], sigma[keep], reach[keep])
+
+
+@njit(cache=True, nogil=True)
+def _observed(
+    risk: float, s0: float, b0: float, p: FloatArray, sigma: FloatArray, bias: FloatArray,
+    expected: FloatArray, apart: FloatArray,
+) -> tuple[float, int]:  # fmt: skip
+    reach, over = expected + bias, np.abs(apart) - expected
+    kept = np.flatnonzero(_seen(p, sigma, reach + over))
+    both = np.concatenate((np.arange(len(p)), kept))  # what is detected has two tails
+    level = _level(risk, s0, b0, p[both], sigma[both], reach[both])
+    extra, mode = 0.0, -1
+    for i in kept:
+        if over[i] > extra:
+            extra, mode = over[i], int(i)
+    if mode >= 0 and isfinite(level):
+        return level + extra, mode
+    mode = _largest(level, s0, b0, p[both], sigma[both], reach[both])
+    return level, both[mode] if mode >= 0 else -1
 
 
 @njit(cache=True, nogil=True)

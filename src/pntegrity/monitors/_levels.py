@@ -15,6 +15,7 @@ from pntegrity.kernels.protection import (
     dominant_mode,
     false_alert_factor,
     least_level,
+    observed_level,
     protection_level,
 )
 from pntegrity.monitors._members import Cast
@@ -25,6 +26,9 @@ __all__ = ["Spread", "bound_of", "factors", "shares", "still_born"]
 Value = TypeVar("Value")
 #: Share of a variance below which a difference of two is rounding.
 ROUNDING = 1e-9
+#: A separation that is expected, in its standard deviations, where levels are made of those observed. Levels
+#: hold with any value; with 1 their mean is near its smallest (10 to 25 satellites: 2 is 10 % larger).
+EXPECTED = 1.0
 #: A position whose variance is still this share of what it was born with is not determined.
 UNDETERMINED = 0.25
 
@@ -71,7 +75,7 @@ class Spread:
             Members that are no part of the filter: of their separations only a bound is known, the largest
             that two errors of these sizes can have, whatever they share.
         """
-        variance = np.einsum("da,iab,db->id", axes, P, axes)
+        variance = ((axes @ P) * axes).sum(axis=2)
         variance = np.where(_undetermined(axes, P, born), inf, variance)
         whole = np.isfinite(variance[0]).all()
         separation = np.maximum(variance - variance[:1], 0.0) if whole else variance.copy()
@@ -134,7 +138,9 @@ def factors(ism: Ism, p_fa: float, modes: int, directions: int) -> FloatArray:
     return np.array([false_alert_factor(p_fa * s, modes) if s > 0.0 else inf for s in halved.tolist()])
 
 
-def bound_of(spread: Spread, cast: Cast, ism: Ism, threshold: FloatArray, since_ns: int) -> Bound:
+def bound_of(
+    spread: Spread, cast: Cast, ism: Ism, threshold: FloatArray, since_ns: int, observed: bool = False
+) -> Bound:
     """Return the protection levels.
 
     Parameters
@@ -146,38 +152,57 @@ def bound_of(spread: Spread, cast: Cast, ism: Ism, threshold: FloatArray, since_
         Of the separations, m.
     since_ns : int
         Faults that began before are not covered.
+    observed : bool
+        Whether levels are made of the separations as they are, in place of their thresholds.
     """
-    faults, p = cast.faults, cast.probability
-    modes = slice(1, 1 + len(p))
-    sigma, bias = np.sqrt(spread.variance), spread.bias
-    risks = shares(ism.risks(faults.unmonitored), sigma.shape[1])
-    levels, least, names = [], [], []
-    for q, risk in enumerate(risks.tolist()):
-        facts = (p, sigma[modes, q], bias[modes, q], threshold[:, q])
-        level = protection_level(risk, sigma[0, q], bias[0, q], *facts)
-        levels.append(level)
-        if q < 3:
-            ss = np.sqrt(spread.separation[modes, q])
-            ss = np.where(np.isfinite(sigma[modes, q]), ss, inf)
-            least.append(least_level(risk, sigma[0, q], p, ss, threshold[:, q]))
-            worst = dominant_mode(level, sigma[0, q], bias[0, q], *facts)
-            names.append(faults.monitored[worst].name if worst >= 0 else "")
+    faults, few = cast.faults, slice(1, 1 + len(cast.faults.monitored))
+    sigma0 = np.sqrt(spread.variance[0])
+    risks = shares(ism.risks(faults.unmonitored), len(sigma0)).tolist()
+    level_of = _observed if observed else _tested
+    found = [level_of(risk, q, spread, cast.probability, threshold[:, q]) for q, risk in enumerate(risks)]
+    levels, least = [f[0] for f in found], [f[2] for f in found[:3]]
+    names = [faults.monitored[f[1]].name if f[1] >= 0 else "" for f in found[:3]]
     along, cross = levels[3:] if len(levels) > 3 else (None, None)
+    determined = bool(np.isfinite(sigma0).all())
     return Bound(
-        levels[0], levels[1], levels[2], _three(sigma[0].tolist()), along, cross, _three(names),
-        _three(least), len(p), faults.unmonitored, since_ns,
-        _reason(levels[:3], names, sigma, faults.reason),
+        levels[0], levels[1], levels[2], _three(sigma0.tolist()), along, cross, _three(names),
+        _three(least), few.stop - 1, faults.unmonitored, since_ns,
+        _reason(levels[:3], names, determined, faults.reason),
     )  # fmt: skip
+
+
+def _tested(
+    risk: float, q: int, spread: Spread, p: FloatArray, threshold: FloatArray
+) -> tuple[float, int, float]:
+    """Return the level of a direction, its mode, and the smallest level possible with the test."""
+    modes, sigma, bias = slice(1, 1 + len(p)), np.sqrt(spread.variance[:, q]), spread.bias[:, q]
+    facts = (sigma[0], bias[0], p, sigma[modes], bias[modes], threshold)
+    level = protection_level(risk, *facts)
+    worst = dominant_mode(level, *facts)
+    if q > 2:
+        return level, worst, 0.0
+    ss = np.where(np.isfinite(sigma[modes]), np.sqrt(spread.separation[modes, q]), inf)
+    return level, worst, least_level(risk, sigma[0], p, ss, threshold)
+
+
+def _observed(
+    risk: float, q: int, spread: Spread, p: FloatArray, threshold: FloatArray
+) -> tuple[float, int, float]:
+    """Return the level of a direction without a test, and its mode; nothing is known of a smallest one."""
+    modes, sigma, bias = slice(1, 1 + len(p)), np.sqrt(spread.variance[:, q]), spread.bias[:, q]
+    expected = EXPECTED * np.sqrt(spread.separation[modes, q])
+    facts = (sigma[0], bias[0], p, sigma[modes], bias[modes], expected, spread.apart[modes, q])
+    return *observed_level(risk, *facts), 0.0
 
 
 def _three(values: list[Value]) -> tuple[Value, Value, Value]:
     return values[0], values[1], values[2]
 
 
-def _reason(levels: list[float], names: list[str], sigma: FloatArray, reason: str) -> str:
+def _reason(levels: list[float], names: list[str], determined: bool, reason: str) -> str:
     if reason or np.isfinite(levels).all():
         return reason
-    if not np.isfinite(sigma[0]).all():
+    if not determined:
         return "the measurements do not determine the position"
     lost = dict.fromkeys(n for n, level in zip(names, levels, strict=True) if n and not np.isfinite(level))
     return "nothing is left to check against without " + ", ".join(lost) if lost else "the risk is used up"

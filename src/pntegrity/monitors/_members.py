@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import permutations
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from pntegrity.bounds.ism import Ism
 from pntegrity.bounds.modes import Event, FaultModes, events_of, fault_modes
+from pntegrity.bounds.sectors import Sectors
 from pntegrity.records import FloatArray
-from pntegrity.states import rows_touched_by
+from pntegrity.states import group_of, rows_touched_by
 
 Member = tuple[str, ...]
 IntArray = npt.NDArray[np.intp]
 
-__all__ = ["Cast", "Member", "Sources", "cast_of", "in_order", "sources", "used_rows"]
+__all__ = ["Cast", "Member", "Sources", "cast_of", "groups_of", "in_order", "nested", "sources", "used_rows"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cast:
-    """The subfilters for the groups that are there.
+    """The subfilters for the groups that are there; `cast_of` makes each once.
 
     Parameters
     ----------
@@ -50,13 +53,15 @@ class Cast:
 
 
 @lru_cache(maxsize=256)
-def cast_of(ism: Ism, groups: tuple[str, ...], pairs: bool, ordered: bool = False) -> Cast:
+def cast_of(
+    ism: Ism, groups: tuple[str, ...], pairs: bool, ordered: bool = False, sectors: Sectors = ()
+) -> Cast:
     """Return the subfilters for some groups; with `pairs` also those without any two events.
 
     `ordered`: those without two events are two members, each of which goes on from the member without the
-    first and does without the second since a switch only.
+    first and does without the second since a switch only. `sectors`: see `events_of`.
     """
-    events = events_of(ism, groups)
+    events = events_of(ism, groups, sectors)
     faults = fault_modes(events, ism.p_hmi, ism.p_unmonitored, ism.max_modes)
     members = dict.fromkeys([(), *(tuple(sorted(m.events)) for m in faults.monitored)])
     members |= dict.fromkeys((e.name,) for e in events)
@@ -85,12 +90,27 @@ def _pairs(events: tuple[Event, ...], ordered: bool) -> dict[tuple[int, int], Me
 @lru_cache(maxsize=256)
 def used_rows(cast: Cast, keys: tuple[str, ...]) -> npt.NDArray[np.bool_]:
     """Return which rows each member uses, shape (members, rows), read-only."""
-    patterns = {e.name: e.patterns for e in cast.events}
-    touched = {name: rows_touched_by(p, keys) for name, p in patterns.items()}
-    none = np.zeros(len(keys), dtype=bool)
-    out = np.array([~np.logical_or.reduce([none, *(touched[n] for n in m)]) for m in cast.members])
+    out = np.ones((len(cast.members), len(keys)), dtype=bool)
+    for i, key in enumerate(keys):
+        out[:, i] = _uses(cast, key)
     out.flags.writeable = False
     return out
+
+
+@lru_cache(maxsize=16384)
+def _uses(cast: Cast, key: str) -> npt.NDArray[np.bool_]:
+    """Return which members use a row, shape (members,): in a street rows come and go all the time."""
+    touched = {e.name for e in cast.events if rows_touched_by(e.patterns, (key,))[0]}
+    return np.array([touched.isdisjoint(m) for m in cast.members])
+
+
+@lru_cache(maxsize=256)
+def groups_of(keys: tuple[str, ...]) -> Mapping[str, int]:
+    """Return the groups of some rows, each with its first row."""
+    first: dict[str, int] = {}
+    for i, key in enumerate(keys):
+        first.setdefault(group_of(key), i)
+    return MappingProxyType(first)
 
 
 @lru_cache(maxsize=256)
@@ -99,6 +119,14 @@ def in_order(keys: tuple[str, ...]) -> IntArray:
     out = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.intp)
     out.flags.writeable = False
     return out
+
+
+def nested(events: tuple[Event, ...], without: Member) -> tuple[Member, Member]:
+    """Return the other events that hold all groups of those in `without`, and those within them."""
+    out = {g for e in events for g in e.groups if e.name in without}
+    others = [e for e in events if out and e.groups and e.name not in without]
+    within = tuple(e.name for e in others if out.issuperset(e.groups))
+    return tuple(e.name for e in others if out < set(e.groups)), within
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +153,15 @@ class Sources:
 
 @lru_cache(maxsize=256)
 def sources(
-    old: tuple[Member, ...], new: tuple[Member, ...], without: Member = (), ordered: bool = False
-) -> Sources:
+    old: tuple[Member, ...], new: tuple[Member, ...], without: Member = (), ordered: bool = False,
+    holding: Member = (), within: Member = (),
+) -> Sources:  # fmt: skip
     """Return where members come from, where the filter goes over to the member without the events `without`.
 
     The first choice is the member without the same events and without those. Where there is none, it is the
     one that has been without the same event, which is loose then; and of two events that without the first.
+    The member without an event that holds all of those, as a sector holds its satellites, has been without
+    them; what lies within those is left out with them.
 
     Parameters
     ----------
@@ -138,6 +169,8 @@ def sources(
     without : tuple of str
     ordered : bool
         Whether members of `old` without two events know what those without the second only do not.
+    holding, within : tuple of str
+        Events of which those in `without` are a part, and that are a part of those; see `nested`.
     """
     where = {m: i for i, m in enumerate(old)}
     known = {m[0] for m in old if len(m) == 1}  # what nobody has used yet, nobody needs to do without
@@ -157,9 +190,12 @@ def sources(
         if len(rest) > 1:
             first, _, loose = find(rest[:1])
             return first, False, loose
+        if rest and rest[0] in holding:
+            return where[rest], True, False
         return (where[rest], True, True) if rest in where else (where.get(without[:1], 0), False, False)
 
-    found = [find(tuple(e for e in m if e in known and e not in without)) for m in new]
+    gone = {*without, *within}
+    found = [find(tuple(e for e in m if e in known and e not in gone)) for m in new]
     member = np.array([f[0] for f in found], dtype=np.intp)
     whole, loose = (np.array([f[k] for f in found], dtype=bool) for k in (1, 2))
     for a in (member, whole, loose):

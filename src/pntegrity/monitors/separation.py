@@ -9,24 +9,46 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.bounds.ism import Ism
+from pntegrity.bounds.sectors import Sectors, with_risen
 from pntegrity.kernels.axes import local_axes, track_axes
 from pntegrity.kernels.carried_test import CarriedTest
 from pntegrity.kernels.companions import Companions, accompany
 from pntegrity.kernels.separation import Subfilters, advance, gains, predicted, replicate
+from pntegrity.monitors._biases import with_nominal
 from pntegrity.monitors._levels import Spread, bound_of, factors, still_born
-from pntegrity.monitors._members import Cast, Member, Sources, cast_of, in_order, sources, used_rows
+from pntegrity.monitors._members import (
+    Cast,
+    Member,
+    Sources,
+    cast_of,
+    groups_of,
+    in_order,
+    nested,
+    sources,
+    used_rows,
+)
 from pntegrity.monitors._options import check_test
+from pntegrity.monitors._sectors import azimuths, why_unplaced
 from pntegrity.monitors._suspects import suspects_of
 from pntegrity.monitors._window import no_redundancy, unavailable
-from pntegrity.records import FloatArray, Layout, State, Update, Verdict, group_of
+from pntegrity.records import (
+    Bound,
+    FloatArray,
+    Layout,
+    State,
+    Status,
+    Update,
+    Verdict,
+    join_reasons,
+)
 
 BoolArray = npt.NDArray[np.bool_]
 #: What a group that is out of view moves the position by, in standard deviations, to be remembered.
 FORGOTTEN = 0.05
 #: A way has a course where it is this many standard deviations long, and this many metres.
 COURSE_SIGMA, COURSE_M = 5.0, 0.5
-PRODUCTS = ("iono:", "trop:")
 NO_MODES = "no fault mode has a probability: nothing is tested"
+NO_ALERTS = "levels are made of the separations observed: these give no alert"
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +59,7 @@ class SeparationMemory:
     when what it is without was left out (or since ever, when the bank began), and `born_m2` the variance with
     which its position was born, where rows have not determined it since; `loose`: it is no part of the filter
     (see `Sources`). `ordered`: see `cast_of`. `biased`
-    are the rows with a nominal bias that the bank carries.
+    are the rows with a nominal bias that the bank carries, `sectors` who fails together with whom.
     """
 
     t_ns: int = 0
@@ -52,6 +74,7 @@ class SeparationMemory:
     ordered: bool = False
     biased: tuple[str, ...] = ()
     beside: Companions | None = None
+    sectors: Sectors = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +96,10 @@ class Separation:
     """Solution separation of a filter and its subfilters, each without what one fault mode may have spoilt.
 
     Hypotheses: the fault modes of the integrity support message: satellites, atmosphere products,
-    constellations, and several at once until the rest is improbable enough. Each has a subfilter that never
-    used the rows it touches. Statistic: the largest separation of a subfilter's position from the filter's,
-    east, north or up (and along and across the track, where there is a course), over its threshold.
+    constellations, azimuth sectors and other groups that fail together, and several at once until the rest is
+    improbable enough. Each has a subfilter that never used the rows it touches. Statistic: the largest
+    separation of a subfilter's position from the filter's, east, north or up (and along and across the track,
+    where there is a course), over its threshold.
     Threshold: 1; each separation is allowed ``K sigma_ss`` with ``sigma_ss^2 = P_i - P_0``, or the exact
     variance where the rows' errors are believed to differ from what the gains are made of
     (`Update.R_accuracy`). `p_fa` is that of all tests of an epoch together, by the sum over modes and
@@ -101,6 +125,11 @@ class Separation:
     pairs : bool
         Whether subfilters without any two events are carried: they tell who is at fault, and make levels
         after an exclusion exact. They cost most of the time.
+    levels : str
+        ``"tested"``: levels hold where no alert is given. ``"observed"``: they are made of the separations as
+        they are, so that they hold whatever these are, and grow where hypotheses disagree. There is no alert
+        then for a large separation, only `unavailable` where a level is above its alert limit
+        (`kernels.protection.observed_level` has the proof).
 
     References
     ----------
@@ -119,6 +148,7 @@ class Separation:
     factor: float = 1.0
     ism: Ism = field(default_factory=Ism)
     pairs: bool = True
+    levels: Literal["tested", "observed"] = "tested"
 
     def __post_init__(self) -> None:
         check_test(self.p_fa, self.factor, self.variant)
@@ -126,6 +156,8 @@ class Separation:
             raise ValueError(f"`ism` must be an integrity support message, not {self.ism!r}")
         if not isinstance(self.pairs, bool):
             raise ValueError(f"`pairs` must be true or false, not {self.pairs!r}")
+        if self.levels not in ("tested", "observed"):
+            raise ValueError(f"`levels` must be 'tested' or 'observed', not {self.levels!r}")
 
     def start(self) -> SeparationMemory:
         """Return the memory of a bank that has not begun."""
@@ -146,12 +178,12 @@ class Separation:
             return unavailable(self.name, self.variant, update, no_redundancy(update)), self.start()
         cast, after = self.carried(memory, update)
         position = update.posterior.layout.block("pos")
-        if not len(position) or not update.keys:
+        if not len(position) or (self.levels == "tested" and not update.keys):
             why = no_redundancy(update) if not update.keys else "there is no position among the states"
             return unavailable(self.name, self.variant, update, why), after
         spread = self._spread(memory, after, update)
         since_ns = int(after.began_ns[: 1 + len(cast.faults.monitored)].max())
-        verdict = self._judge(spread, cast, update, since_ns)
+        verdict = self._judge(spread, cast, update, since_ns, why_unplaced(self.ism, after.sectors, update))
         return verdict, replace(after, groups=_remembered(after.groups, update, cast, spread))
 
     def plan(self, memory: SeparationMemory, update: Update) -> tuple[CarriedTest, SeparationMemory]:
@@ -178,24 +210,30 @@ class Separation:
             step.sources.member, (np.eye(len(prior[0])) - K @ update.H) @ step.F, (K - update.K) @ update.L,
             axes,
             inverse, alone._factors(spread, cast), self.factor, self.p_fa,
-            1 + round((update.t_ns - int(step.began_ns[0])) * 1e-9), "" if inverse.any() else NO_MODES,
+            1 + round((update.t_ns - int(step.began_ns[0])) * 1e-9),
+            self._untested(bool(inverse.any())),
         )  # fmt: skip
         after = replace(after, groups=_remembered(after.groups, update, cast, spread))
         return test, after
 
+    def _untested(self, modes: bool) -> str:
+        if self.levels == "observed":
+            return NO_ALERTS
+        return "" if modes else NO_MODES
+
     def carried(self, memory: SeparationMemory, update: Update) -> tuple[Cast, SeparationMemory]:
         """Return the subfilters' cast for `update`, and the memory after it."""
         follows = _follows(memory, update)
-        present = set(update.groups())
+        present = set(groups_of(update.keys))
         groups = tuple(sorted(present.union(memory.groups if follows else ())))
         ordered = follows and (memory.ordered or bool(update.switched))
-        cast = cast_of(self.ism, groups, self.pairs and self.variant == "exact", ordered)
+        sectors = self._sectors(memory, update, follows)
+        cast = cast_of(self.ism, groups, self.pairs and self.variant == "exact", ordered, sectors)
         step = self._into(memory, update, cast)
         used = used_rows(cast, update.keys)
         at = in_order(update.keys)  # the same sums whatever the order of the rows is
-        biased, before, biases = self._biases(
-            step.bank, memory.biased if follows else (), update.keys, groups
-        )
+        old = memory.biased if follows else ()
+        biased, before, biases = with_nominal(self.ism, step.bank, old, update.keys, groups)
         rows = update.H[at], update.R[np.ix_(at, at)], update.nu[at], used[:, at]
         bank = advance(before, step.F, step.Q, *rows, step.sources.member, step.sources.origin, biases[:, at])
         position = update.posterior.layout.block("pos")
@@ -207,15 +245,23 @@ class Separation:
         return cast, SeparationMemory(
             update.t_ns, update.posterior.layout, cast.members, bank, groups, step.began_ns, born,
             update.posterior.mean[position], step.loose, ordered, biased,
-            self._beside(step, update, used[: 1 + len(cast.faults.monitored)]),
+            self._beside(step, update, used[: 1 + len(cast.faults.monitored)]), sectors,
         )  # fmt: skip
+
+    def _sectors(self, memory: SeparationMemory, update: Update, follows: bool) -> Sectors:
+        """Return who is in which sector: satellites that were not known take their places."""
+        if not self.ism.sectors:
+            return ()
+        before, known = (memory.sectors, memory.groups) if follows else ((), ())
+        return with_risen(self.ism, before, known, azimuths(update))
 
     def _into(self, memory: SeparationMemory, update: Update, cast: Cast) -> _Step:
         """Return the step into `update`."""
         if memory.bank is None or not _follows(memory, update):
             return _beginning(update, cast)
         without = self._events(memory, frozenset(update.switched))
-        found = sources(memory.members, cast.members, without, memory.ordered)
+        events = cast_of(self.ism, memory.groups, False, False, memory.sectors).events if without else ()
+        found = sources(memory.members, cast.members, without, memory.ordered, *nested(events, without))
         began = np.where(found.whole, memory.began_ns[found.member], update.t_ns)
         born = _born(update, update.Q, memory.born_m2[found.member])
         few, beside = found.member[: 1 + len(cast.faults.monitored)], memory.beside
@@ -233,42 +279,14 @@ class Separation:
             step.beside, few, step.F, step.Q, update.H, update.R, update.R_accuracy, used
         )  # fmt: skip
 
-    def _biases(
-        self, bank: Subfilters, old: tuple[str, ...], keys: tuple[str, ...], groups: tuple[str, ...]
-    ) -> tuple[tuple[str, ...], Subfilters, FloatArray]:
-        """Return the rows with a nominal bias, the bank with theirs, and what they add to the rows, (c, m).
-
-        Those of groups that are forgotten go.
-        """
-        nominal = self._nominal(keys)
-        here = {k: (i, b) for i, (k, b) in enumerate(zip(keys, nominal.tolist(), strict=True)) if b}
-        stay = [k for k in old if group_of(k) in groups]
-        biased = (*stay, *(k for k in here if k not in stay))
-        if not biased:
-            return (), bank, np.zeros((0, len(keys)))
-        out = np.zeros((len(biased), len(keys)))
-        for c, key in enumerate(biased):
-            if key in here:
-                out[c, here[key][0]] = here[key][1]
-        stood = np.array([old.index(k) if k in old else -1 for k in biased], dtype=np.intp)
-        return biased, bank.with_biases(stood), out
-
     def _events(self, memory: SeparationMemory, groups: frozenset[str]) -> Member:
         """Return the names of the events behind groups that are left out."""
         if not groups:
             return ()
-        events = cast_of(self.ism, memory.groups, False).events
+        events = cast_of(self.ism, memory.groups, False, False, memory.sectors).events
         whole = [e for e in events if frozenset(e.groups) == groups]
         chosen = whole[:1] or [e for e in events if e.groups and frozenset(e.groups) <= groups]
         return tuple(sorted(e.name for e in chosen))
-
-    def _nominal(self, keys: tuple[str, ...]) -> FloatArray:
-        """Return the nominal bias of each row, m, shape (m,)."""
-        sizes = {"C": self.ism.b_code_m, "L": self.ism.b_carrier_m}
-        product = self.ism.b_product_m
-        return np.array(
-            [product if k.startswith(PRODUCTS) else sizes.get(k.partition(":")[2][:1], 0.0) for k in keys]
-        )
 
     def _spread(self, memory: SeparationMemory, after: SeparationMemory, update: Update) -> Spread:
         position = after.layout.block("pos")
@@ -284,16 +302,21 @@ class Separation:
         spread = Spread.of(axes, bank.delta[:, position], P, after.born_m2, bias, after.loose)
         return spread if after.beside is None else spread.refined(axes, after.beside, position)
 
-    def _judge(self, spread: Spread, cast: Cast, update: Update, since_ns: int) -> Verdict:
+    def _judge(self, spread: Spread, cast: Cast, update: Update, since_ns: int, note: str) -> Verdict:
         modes = slice(1, 1 + len(cast.faults.monitored))
-        allowed = self._allowed(spread, cast)
+        allowed, observed = self._allowed(spread, cast), self.levels == "observed"
         tested = allowed > 0.0
-        bound = bound_of(spread, cast, self.ism, allowed, since_ns)
+        bound = bound_of(spread, cast, self.ism, allowed, since_ns, observed)
+        bound = replace(bound, reason=join_reasons([bound.reason, note]))
         if not tested.any():
             why = NO_MODES if not cast.faults.monitored else no_redundancy(update)
             return replace(unavailable(self.name, self.variant, update, why), bound=bound)
         ratio = np.abs(spread.apart[modes])[tested] / allowed[tested] * self.factor
         facts = (float(ratio.max()), self.factor, self.p_fa, int(tested.sum()))
+        if observed:
+            why = _beyond(bound, self.ism)
+            status: Status = "unavailable" if why else "ok"
+            return Verdict(self.name, self.variant, update.t_ns, status, *facts, reason=why, bound=bound)
         if facts[0] <= self.factor:
             return Verdict(self.name, self.variant, update.t_ns, "ok", *facts, bound=bound)
         with_pairs = self.variant == "exact" and bool(cast.pairs)
@@ -313,6 +336,16 @@ class Separation:
         testable = spread.testable(modes)
         allowed = self._factors(spread, cast) * np.sqrt(np.where(testable, spread.separation[modes], 0.0))
         return np.where(testable & np.isfinite(allowed), allowed, 0.0)
+
+
+def _beyond(bound: Bound, ism: Ism) -> str:
+    """Return which protection level is above its alert limit, in words."""
+    levels = (("horizontal", bound.hpl_m, ism.hal_m), ("vertical", bound.vpl_m, ism.val_m))
+    return join_reasons(
+        f"the {name} protection level of {level:.3g} m is above the alert limit of {limit:g} m"
+        for name, level, limit in levels
+        if level > limit
+    )
 
 
 def _follows(memory: SeparationMemory, update: Update) -> bool:
@@ -340,11 +373,15 @@ def _born(update: Update, P: FloatArray, before: FloatArray) -> FloatArray:
 
 
 def _remembered(groups: tuple[str, ...], update: Update, cast: Cast, spread: Spread) -> tuple[str, ...]:
-    """Return the groups in view, and those that still move the position."""
-    present = update.groups()
+    """Return the groups in view, and those that still move the position, alone or all that fail together."""
+    present = groups_of(update.keys)
     if len(groups) == len(present):
         return groups
     moves = (spread.separation > FORGOTTEN**2 * spread.variance[0]).any(axis=1)
-    single = zip(cast.events, cast.single, strict=True)
-    kept = {e.groups[0] for e, i in single if moves[i] and len(e.groups) == 1}
+    gone = [
+        e
+        for e, i in zip(cast.events, cast.single, strict=True)
+        if moves[i] and present.keys().isdisjoint(e.groups)
+    ]
+    kept = {g for e in gone for g in e.groups}
     return tuple(g for g in groups if g in present or g in kept)

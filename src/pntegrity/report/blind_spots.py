@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pntegrity.estimators._ins_options import InsOptions
 from pntegrity.exclusion import SEPARATION
 from pntegrity.protocols import Monitor
 from pntegrity.report.units import duration, length
@@ -20,7 +21,11 @@ TIMES_S = (60.0, 600.0, 3600.0)
 
 
 def blind_spots(
-    estimator: str, noise: NoiseModel, motion: str = "white", monitors: Sequence[Monitor] = ()
+    estimator: str,
+    noise: NoiseModel,
+    motion: str = "white",
+    monitors: Sequence[Monitor] = (),
+    ins: InsOptions | None = None,
 ) -> tuple[str, ...]:
     """Say what the noise model and the estimator hide from every monitor, with figures.
 
@@ -33,6 +38,8 @@ def blind_spots(
         What the estimator knows of the motion.
     monitors : sequence of Monitor
         Those that run.
+    ins : InsOptions, optional
+        The inertial side of an estimator that has one; None: the usual.
     """
     if estimator == "spp":
         spots: tuple[str, ...] = (
@@ -41,9 +48,49 @@ def blind_spots(
         )
     elif estimator in ("ppp", "ppp_rtk"):
         spots = _precise(noise, motion, monitors)
+    elif estimator == "gnss_ins":
+        spots = _inertial(noise, ins or InsOptions())
     else:
         spots = _code(noise)
     return (*spots, *(_products(noise) if estimator == "ppp_rtk" else ()), *_separation(monitors))
+
+
+def _inertial(noise: NoiseModel, ins: InsOptions) -> tuple[str, ...]:
+    """Say what an INS bridges, what its aiding absorbs, and what no test of single rows can see."""
+    own = _tight(noise) if ins.coupling == "tight" else _loose(ins)
+    return (
+        *own,
+        "Where GNSS is missing the INS carries the position on, and nothing tests it: an error of the IMU "
+        f"that its specification ({ins.spec.name}) does not expect grows unseen until satellites return. Its "
+        "standard deviation grows as the specification says and no faster.",
+        "An error that most satellites share moves the position: the few good ones are then the ones that "
+        "stand out and are left out. A protection level covers what its fault modes name (single satellites, "
+        "groups that fail together), not every set of reflected signals.",
+    )
+
+
+def _tight(noise: NoiseModel) -> tuple[str, ...]:
+    states = noise.code_multipath_m > 0.0 or noise.code_bias_m > 0.0
+    absorbed = (
+        "Each satellite has an error of its own that lasts a while. A reflection that comes slowly, or that "
+        "was there when the satellite came into view, is taken for it and is not a fault; it moves the "
+        "position by what the other satellites and the INS do not hold against it.",
+    )
+    return (*(absorbed if states else ()), *_code(noise))
+
+
+def _loose(ins: InsOptions) -> tuple[str, ...]:
+    detection = {
+        "lsr": "The residuals of the least-squares fix are tested one satellite at a time",
+        "factor-set": "Sets of pseudoranges are tested for agreement with each other",
+    }
+    tested = detection.get(ins.fde, "The rows of the fix are not tested")
+    return (
+        f"The filter takes fixes. {tested}, without the INS: errors that agree with each other pass, and "
+        "their fix is taken with the uncertainty of a good one.",
+        "A fix has no error that lasts in the filter's eyes: an error common to several fixes in a row is "
+        "believed a little more with each of them, and the standard deviation becomes too small.",
+    )
 
 
 def _products(noise: NoiseModel) -> tuple[str, ...]:

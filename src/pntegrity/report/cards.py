@@ -7,17 +7,18 @@ from __future__ import annotations
 import html
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pntegrity.report.facts import RunFacts
-from pntegrity.report.story import Sentence
+from pntegrity.report.sentences import Sentence
 from pntegrity.report.summary import headline
 from pntegrity.report.units import duration, length
 
 __all__ = [
-    "details", "escaped", "flat", "header", "monitor_table", "percent", "section", "story_list",
-    "whiteness_table",
+    "Figures", "details", "escaped", "flat", "header", "monitor_table", "percent", "plot", "section",
+    "story_list", "table_of", "whiteness_table",
 ]  # fmt: skip
 
 Figures = tuple[str, str, str, str]
@@ -33,6 +34,30 @@ def escaped(text: object) -> str:
 def section(title: str, inside: str, there: bool = True) -> str:
     """Return a section of the page, nothing where it is not `there`."""
     return "" if not there else f"<section><h2>{escaped(title)}</h2>{inside}</section>"
+
+
+def plot(name: str, caption: str) -> str:
+    """Return the place of a figure, with what is said above it."""
+    said = f"<figcaption>{escaped(caption)}</figcaption>" if caption else ""
+    return f"<figure>{said}<div class='plot' id='fig-{name}'></div></figure>"
+
+
+def table_of(titles: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") -> str:
+    """Return a table with a header a row; `kind` is its class."""
+    head = "".join(f"<th>{escaped(t)}</th>" for t in titles)
+    body = "".join(
+        f"<tr><th>{escaped(row[0])}</th>{''.join(f'<td>{_kept(c)}</td>' for c in row[1:])}</tr>"
+        for row in rows
+    )
+    named = f" class='{kind}'" if kind else ""
+    return (
+        f"<div class='scroll'><table{named}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def _kept(text: str) -> str:
+    """Return the text of a cell; the minus of an exponent is one at which no line is broken."""
+    return escaped(re.sub(r"(?<=\de)-(?=\d)", "\u2212", text))
 
 
 def header(numbers: Mapping[str, Any], facts: RunFacts, more: Sequence[Figures] = ()) -> str:
@@ -58,7 +83,8 @@ def header(numbers: Mapping[str, Any], facts: RunFacts, more: Sequence[Figures] 
 
 def _number(label: str, value: str, unit: str, note: str) -> str:
     said = f"{escaped(value)}<small>{escaped(unit)}</small>"
-    return f"<div><dt>{escaped(label)}</dt><dd>{said}</dd><p>{escaped(note)}</p></div>"
+    kind = "" if value[:1].isdigit() else " class='word'"
+    return f"<div><dt>{escaped(label)}</dt><dd{kind}>{said}</dd><p>{escaped(note)}</p></div>"
 
 
 def _numbers(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

@@ -43,6 +43,11 @@ class RunFacts:
         ``hal_m`` and ``val_m``.
     products : tuple of str
         Which atmosphere products were used, and whether they are self-derived, a line each.
+    truth_velocity_mps, truth_attitude_rad : ndarray, shape (n_epochs, 3), optional
+        True ECEF velocity, and true roll, pitch and heading, as `truth_m`.
+    sections : tuple of str
+        What each epoch's surroundings are called (``"open"``, ``"challenging"``, ``"denied"``); empty: they
+        are told from what the receiver saw.
 
     Raises
     ------
@@ -61,13 +66,14 @@ class RunFacts:
     interrupted: bool = False
     protection: Mapping[str, Any] = field(default_factory=dict)
     products: tuple[str, ...] = ()
+    truth_velocity_mps: FloatArray | None = None
+    truth_attitude_rad: FloatArray | None = None
+    sections: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.truth_m is not None:
-            truth = np.atleast_2d(np.asarray(self.truth_m, dtype=np.float64))
-            if truth.ndim != 2 or truth.shape[1] != 3:
-                raise ValueError(f"`truth_m` must have the shape (n_epochs, 3), not {truth.shape}")
-            object.__setattr__(self, "truth_m", frozen(truth))
+        for name in ("truth_m", "truth_velocity_mps", "truth_attitude_rad"):
+            if getattr(self, name) is not None:
+                self._keep(name)
         for name in ("hal_m", "val_m"):
             if not self.alert_limit(name) > 0.0:
                 raise ValueError(f"`protection`: {name} must be positive, not {self.protection[name]}")
@@ -77,10 +83,29 @@ class RunFacts:
         limit = self.protection.get(name)
         return float("inf") if limit is None else float(limit)
 
+    def _keep(self, name: str) -> None:
+        truth = np.atleast_2d(np.asarray(getattr(self, name), dtype=np.float64))
+        if truth.ndim != 2 or truth.shape[1] != 3:
+            raise ValueError(f"`{name}` must have the shape (n_epochs, 3), not {truth.shape}")
+        object.__setattr__(self, name, frozen(truth))
+
     def truth(self, n: int) -> FloatArray:
-        """Return the truth of the first `n` epochs, shape (n, 3), nan where it is not known."""
-        out = np.full((n, 3), np.nan)
-        if self.truth_m is not None:
-            known = min(n, len(self.truth_m))
-            out[:known] = self.truth_m[:known]
-        return out
+        """Return the true position at the first `n` epochs, shape (n, 3), nan where it is not known."""
+        return _first(self.truth_m, n)
+
+    def truth_velocity(self, n: int) -> FloatArray:
+        """Return the true ECEF velocity, the same."""
+        return _first(self.truth_velocity_mps, n)
+
+    def truth_attitude(self, n: int) -> FloatArray:
+        """Return the true roll, pitch and heading, the same."""
+        return _first(self.truth_attitude_rad, n)
+
+
+def _first(truth: FloatArray | None, n: int) -> FloatArray:
+    """Return the first `n` rows (n, 3), nan where there is none."""
+    out = np.full((n, 3), np.nan)
+    if truth is not None:
+        known = min(n, len(truth))
+        out[:known] = truth[:known]
+    return out

@@ -23,8 +23,9 @@ from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.signals import WORDS
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, group_of
-from pntegrity.report.story import Absence, absences, cause_text, clock_time
-from pntegrity.report.tables import family_counts
+from pntegrity.report.columns import family_counts
+from pntegrity.report.sentences import clock_time
+from pntegrity.report.story import Absence, absences, cause_text
 
 __all__ = ["Figure", "Frame", "array", "axes", "frame", "satellites", "status", "timeline", "used"]
 

@@ -15,12 +15,23 @@ from pntegrity.errors import InputError
 from pntegrity.formats.atomic import write_text
 from pntegrity.physics.signals import WORDS
 from pntegrity.pipeline import Outcome
-from pntegrity.report import figures, panels, precise, protection_cards, protection_figures, sky
+from pntegrity.report import (
+    figures,
+    inertial_figures,
+    panels,
+    precise,
+    protection_cards,
+    protection_figures,
+    screening_figures,
+    sky,
+)
+from pntegrity.report import inertial_cards as ins
 from pntegrity.report.cards import (
     details,
     escaped,
     header,
     monitor_table,
+    plot,
     section,
     story_list,
     whiteness_table,
@@ -58,6 +69,9 @@ def page(
     f = frame(outcomes) if outcomes else None
     p = protected(table, facts)
     shown = _figures(f, numbers, table, p) if f is not None else []
+    if f is not None:
+        shown += _moving(f, table, facts)
+    there = {s.name for s in shown}
     data = {
         "t": array(f.x_ms, exact=True) if f is not None else None,
         "figures": [s.as_json() for s in shown],
@@ -70,11 +84,17 @@ def page(
         "<meta name='color-scheme' content='light dark'>",
         f"<title>{escaped(headline(numbers)[0])} · pntegrity</title>",
         f"<style>{(assets / 'report.css').read_text(encoding='utf-8')}</style></head><body><main>",
-        header(numbers, facts, [protection_cards.card(numbers)] if p is not None else ()),
-        section("When it could be trusted", _figure("status", _STATUS)) if shown else "",
+        header(
+            numbers,
+            facts,
+            [*([protection_cards.card(numbers)] if p is not None else []), *ins.cards(numbers)],
+        ),
+        section("When it could be trusted", plot("status", _STATUS)) if shown else "",
         story_list(story(outcomes, facts, table), facts),
+        ins.track_part(there),
+        ins.sections_part(numbers),
         _protection(p, numbers, facts) if p is not None else "",
-        _body(shown, f, numbers, facts) if f is not None else "",
+        _body(there, f, numbers, facts) if f is not None else "",
         details(facts),
         "</main>",
         f"<script type='application/json' id='data'>{_json(data)}</script>",
@@ -112,12 +132,19 @@ def _figures(f: Frame, numbers: Mapping[str, Any], table: pl.DataFrame, p: Prote
     return [s for s in shown if s.data]
 
 
+def _moving(f: Frame, table: pl.DataFrame, facts: RunFacts) -> list[Figure]:
+    """Return the figures of runs that move, have an INS or screen their rows."""
+    shown = [inertial_figures.track(f, table, facts), screening_figures.detection(f)]
+    shown += [inertial_figures.attitude(f, table), inertial_figures.attitude_error(f, table)]
+    return [s for s in shown if s.data]
+
+
 # --- the parts of the page --------------------------------------------------------------------------------
 
 
 def _protection(p: Protected, numbers: Mapping[str, Any], facts: RunFacts) -> str:
     pair = "".join(
-        f"<div><h3>{a.name.capitalize()}</h3>{_figure(f'stanford-{a.name}', '')}</div>" for a in p.axes
+        f"<div><h3>{a.name.capitalize()}</h3>{plot(f'stanford-{a.name}', '')}</div>" for a in p.axes
     )
     stanford = f"<figcaption>{_STANFORD}</figcaption><div class='pair'>{pair}</div>"
     if p.has_truth:
@@ -128,7 +155,7 @@ def _protection(p: Protected, numbers: Mapping[str, Any], facts: RunFacts) -> st
         [
             section(
                 "Protection levels" + " against errors" * p.has_truth,
-                _figure("levels", _LEVELS) + protection_cards.level_table(numbers),
+                plot("levels", _LEVELS) + protection_cards.level_table(numbers),
             ),
             section("Stanford diagram", stanford),
             section("Which fault sets the level", protection_cards.mode_table(numbers)),
@@ -137,37 +164,42 @@ def _protection(p: Protected, numbers: Mapping[str, Any], facts: RunFacts) -> st
     )
 
 
-def _body(shown: Sequence[Figure], f: Frame, numbers: Mapping[str, Any], facts: RunFacts) -> str:
-    there = {s.name for s in shown}
+def _body(there: set[str], f: Frame, numbers: Mapping[str, Any], facts: RunFacts) -> str:
     excluded = (
-        _figure(
+        plot(
             "timeline",
             "Which test saw it and the estimated fault. The thin line starts at the estimated onset.",
         )
         if "timeline" in there
-        else "<p class='quiet'>Nothing was excluded.</p>"
+        else f"<p class='quiet'>{_NOTHING[numbers['screening'] is not None]}</p>"
     )
     error = "Error against the truth within the filter's own three-sigma band." if numbers["position"] else (
         "Three sigma as the filter states it. No truth was given, so the error itself is not known."
     )  # fmt: skip
     return "\n".join(
         [
-            section("What the monitors saw", _figure("monitors", _MONITORS) + monitor_table(numbers)),
+            section("What the monitors saw", plot("monitors", _MONITORS) + monitor_table(numbers)),
             section("Left out", excluded),
-            section("Innovations of each satellite", _figure("residuals", _RESIDUALS), "residuals" in there),
-            section("Satellites used", _figure("used", ""), "used" in there),
-            section("Carrier arcs", _figure("arcs", _ARCS), "arcs" in there),
-            section("Position", _figure("position", error)),
-            section("Troposphere", _figure("troposphere", _WET), "troposphere" in there),
+            ins.screening_part(numbers, there),
+            section("Innovations of each satellite", plot("residuals", _RESIDUALS), "residuals" in there),
+            section("Satellites used", plot("used", ""), "used" in there),
+            section("Carrier arcs", plot("arcs", _ARCS), "arcs" in there),
+            section("Position", plot("position", error)),
+            ins.attitude_part(there),
+            section("Troposphere", plot("troposphere", _WET), "troposphere" in there),
             section("Atmosphere products", protection_cards.product_list(facts), bool(facts.products)),
             "<div class='pair'>",
-            section("Sky", _legend(f) + _figure("sky", _SKY), "sky" in there),
+            section("Sky", _legend(f) + plot("sky", _SKY), "sky" in there),
             section("Can the false-alarm rates be believed?", whiteness_table(numbers, facts)),
             "</div>",
         ]
     )  # fmt: skip
 
 
+_NOTHING = (
+    "Nothing was excluded.",
+    "The monitors excluded nothing. What the estimator itself left out before them is below.",
+)
 _LEVELS = (
     "An error may be beyond its level only with the stated risk, or with an alert (shaded orange). "
     "Logarithmic. Shaded grey: no level."
@@ -193,11 +225,6 @@ _RESIDUALS = (
     "left out; its colour is then the residual against the solution without it. Pale everywhere means that "
     "the noise model is cautious."
 )
-
-
-def _figure(name: str, caption: str) -> str:
-    said = f"<figcaption>{escaped(caption)}</figcaption>" if caption else ""
-    return f"<figure>{said}<div class='plot' id='fig-{name}'></div></figure>"
 
 
 def _legend(f: Frame) -> str:

@@ -12,7 +12,10 @@ import polars as pl
 from pntegrity.records import FloatArray, Verdict
 from pntegrity.report.figures import Figure, Frame, array, axes, safe
 
-__all__ = ["band", "half_range", "label", "log_range", "monitors", "position", "shaded"]
+__all__ = [
+    "around", "band", "course", "half_range", "label", "log_range", "monitors", "numbers", "position",
+    "shaded", "within_sigma",
+]  # fmt: skip
 
 
 def monitors(f: Frame, counts: Sequence[dict[str, Any]]) -> Figure:
@@ -146,31 +149,54 @@ def shaded(
 
 def position(f: Frame, table: pl.DataFrame) -> Figure:
     """Return east, north and up error within three sigma where truth is known, else three sigma alone."""
+    names = [(f"sigma_{a}_m", f"error_{a}_m") for a in "enu"]
+    sigma, error = f.place(numbers(table, names)).transpose(1, 0, 2)
+    halves = [half_range(3.0 * s, e) for s, e in zip(sigma, error, strict=True)]
+    factor, unit = (1.0, "m") if max(halves) > 1.0 else (100.0, "cm")
+    return within_sigma("position", ("East", "North", "Up"), unit, factor * sigma, factor * error)
+
+
+def numbers(table: pl.DataFrame, names: Sequence[Sequence[str]]) -> FloatArray:
+    """Return columns of a table, shape (len(names), len(names[0]), n), nan where there is no value."""
+    flat = table.select(n for group in names for n in group).cast(pl.Float64).fill_null(np.nan).to_numpy().T
+    return np.asarray(flat.reshape(len(names), -1, len(table)))
+
+
+def within_sigma(name: str, words: Sequence[str], unit: str, sigma: FloatArray, error: FloatArray) -> Figure:
+    """Return errors within their bands of three sigma, a panel each.
+
+    Parameters
+    ----------
+    name : str
+        Of the figure.
+    words : sequence of str, length k
+        What each error is called.
+    unit : str
+    sigma, error : ndarray, shape (k, instants)
+        At the instants of the axis; nan where not known.
+    """
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"hovermode": "x unified", "annotations": [], "margin": {"t": 26}}
-    numbers = table.select(f"{what}_{a}_m" for a in "enu" for what in ("sigma", "error"))
-    values = f.place(numbers.cast(pl.Float64).fill_null(np.nan).to_numpy().T)
-    halves = [half_range(3.0 * sigma, error) for sigma, error in zip(values[::2], values[1::2], strict=True)]
-    factor, unit = (1.0, "m") if max(halves) > 1.0 else (100.0, "cm")
-    for i, (word, domain) in enumerate(zip(("East", "North", "Up"), axes(3, 0.1), strict=True)):
+    for i, (word, domain) in enumerate(zip(words, axes(len(words), 0.1), strict=True)):
         axis = "y" if i == 0 else f"y{i + 1}"
-        sigma, error = factor * values[2 * i], factor * values[2 * i + 1]
-        data += band(3.0 * sigma, axis)
-        if np.isfinite(error).any():
-            line = {"color": "--line", "width": 1.5}
-            data.append(
-                {
-                    "type": "scatter", "mode": "lines", "x": "$t", "y": array(error), "yaxis": axis,
-                    "name": f"{word} error", "line": line,
-                }
-            )  # fmt: skip
-        half = factor * halves[i]
+        data += band(3.0 * sigma[i], axis)
+        if np.isfinite(error[i]).any():
+            data.append(course(error[i], axis, f"{word} error"))
+        half = half_range(3.0 * sigma[i], error[i])
         layout[axis.replace("y", "yaxis")] = {
             "domain": domain, "range": [-half, half], "anchor": "x", "nticks": 5, "fixedrange": True,
         }  # fmt: skip
         layout["annotations"].append(label(f"<b>{word}</b>, {unit}", domain[1]))
-    layout["xaxis"] = {"anchor": "y3"}
-    return Figure("position", data, layout, 440)
+    layout["xaxis"] = {"anchor": f"y{len(words)}"}
+    return Figure(name, data, layout, 440)
+
+
+def course(values: FloatArray, axis: str, name: str) -> dict[str, Any]:
+    """Return the trace of what a figure is about, at the instants of the axis."""
+    return {
+        "type": "scatter", "mode": "lines", "x": "$t", "y": array(values), "yaxis": axis, "name": name,
+        "line": {"color": "--line", "width": 1.5},
+    }  # fmt: skip
 
 
 def band(half: FloatArray, axis: str, middle: FloatArray | float = 0.0) -> list[dict[str, Any]]:
@@ -192,3 +218,11 @@ def half_range(band_m: FloatArray, error: FloatArray) -> float:
     usual = float(np.nanquantile(band_m, 0.9)) if np.isfinite(band_m).any() else 1.0
     size = np.abs(error[~((band_m > usual) & (np.abs(error) <= band_m)) & np.isfinite(error)])
     return 1.12 * max(usual, float(size.max(initial=0.0)), 1e-3)
+
+
+def around(value: FloatArray, sigma: FloatArray) -> list[float]:
+    """Return a range that shows the values and the usual three sigma (a start is wider)."""
+    usual = 3.0 * float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else 0.0
+    low, high = float(np.nanmin(value)) - usual, float(np.nanmax(value)) + usual
+    pad = 0.06 * max(high - low, 1e-3)
+    return [low - pad, high + pad]

@@ -11,8 +11,8 @@ import polars as pl
 
 from pntegrity.estimators._precise_filter import LEFT_OUT
 from pntegrity.records import Update, group_of
-from pntegrity.report.figures import LANE_PX, UNIX_GPS_MS, Figure, Frame, array, axes, colour, ordered, safe
-from pntegrity.report.panels import band, label
+from pntegrity.report.figures import LANE_PX, UNIX_GPS_MS, Figure, Frame, axes, colour, ordered, safe
+from pntegrity.report.panels import around, band, course, label
 from pntegrity.report.units import unit
 
 __all__ = ["Arc", "arcs", "carrier_arcs", "troposphere"]
@@ -125,23 +125,11 @@ def troposphere(f: Frame, table: pl.DataFrame) -> Figure:
         value, sigma = (f.place(table[c].fill_null(np.nan).to_numpy()) for c in (column, f"sigma_{column}"))
         factor, name = unit(float(np.nanmax(np.abs(value))))
         data += band(factor * sigma * 3.0, axis, factor * value)
-        line = {"color": "--line", "width": 1.5}
-        data.append(
-            {"type": "scatter", "mode": "lines", "x": "$t", "y": array(factor * value), "yaxis": axis,
-             "name": panels[column], "line": line}
-        )  # fmt: skip
+        data.append(course(factor * value, axis, panels[column]))
         layout[axis.replace("y", "yaxis")] = {
             "domain": domain, "anchor": "x", "nticks": 5, "fixedrange": True,
-            "range": _range(factor * value, factor * sigma),
+            "range": around(factor * value, factor * sigma),
         }  # fmt: skip
         layout["annotations"].append(label(f"<b>{panels[column]}</b>, {name}", domain[1]))
     layout["xaxis"] = {"anchor": f"y{len(there)}" if len(there) > 1 else "y"}
     return Figure("troposphere", data, layout, 80 + 120 * max(len(there), 1))
-
-
-def _range(value: np.ndarray, sigma: np.ndarray) -> list[float]:
-    """Return a range that shows the values and the usual three sigma (a start is wider)."""
-    usual = 3.0 * float(np.nanmedian(sigma))
-    low, high = float(np.nanmin(value)) - usual, float(np.nanmax(value)) + usual
-    pad = 0.06 * max(high - low, 1e-3)
-    return [low - pad, high + pad]

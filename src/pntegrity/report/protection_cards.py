@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pntegrity.report.cards import escaped, flat, percent
+from pntegrity.report.cards import escaped, flat, percent, table_of
 from pntegrity.report.facts import RunFacts
+from pntegrity.report.sentences import names
 from pntegrity.report.units import duration, length, level_text
 
 __all__ = ["card", "level_table", "mode_table", "product_list", "promise", "region_table"]
@@ -28,18 +28,6 @@ def card(numbers: Mapping[str, Any]) -> tuple[str, str, str, str]:
     return "Protection level, 95 %", value, unit, note
 
 
-def _table(titles: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") -> str:
-    head = "".join(f"<th>{escaped(t)}</th>" for t in titles)
-    body = "".join(
-        f"<tr><th>{escaped(row[0])}</th>{''.join(f'<td>{_kept(c)}</td>' for c in row[1:])}</tr>"
-        for row in rows
-    )
-    named = f" class='{kind}'" if kind else ""
-    return (
-        f"<div class='scroll'><table{named}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
-
-
 def level_table(numbers: Mapping[str, Any]) -> str:
     """Return how large the levels are, and how near to what they could be at best."""
     p = numbers["protection"]
@@ -56,12 +44,7 @@ def level_table(numbers: Mapping[str, Any]) -> str:
         if p[key]
     ]  # fmt: skip
     titles = ("Level", "Median", "95 %", "Alert limit", "Times sigma", "Times the smallest possible")
-    return _table(titles, rows, "white") + f"<p class='quiet'>{escaped(' '.join(_about(p, numbers)))}</p>"
-
-
-def _kept(text: str) -> str:
-    """Return the text of a cell; the minus of an exponent is one at which no line is broken."""
-    return escaped(re.sub(r"(?<=\de)-(?=\d)", "\u2212", text))
+    return table_of(titles, rows, "white") + f"<p class='quiet'>{escaped(' '.join(_about(p, numbers)))}</p>"
 
 
 def _times(ratio: float | None) -> str:
@@ -102,7 +85,7 @@ def region_table(numbers: Mapping[str, Any]) -> str:
     kept = [r for r, (key, _) in zip(rows, words, strict=True) if key not in ("alerted", "unknown") or any(
         m[a][key] for a in ("horizontal", "vertical")
     )]  # fmt: skip
-    return _table(("Epochs", "Horizontal", "Vertical"), kept, "white regions")
+    return table_of(("Epochs", "Horizontal", "Vertical"), kept, "white regions")
 
 
 def mode_table(numbers: Mapping[str, Any]) -> str:
@@ -115,7 +98,7 @@ def mode_table(numbers: Mapping[str, Any]) -> str:
     rest = len(p["modes"]) - len(rows)
     more = f" {rest} other modes dominate less often." if rest > 0 else ""
     note = "Share of epochs at which a fault mode contributes most to the risk of that direction."
-    return f"<p class='quiet'>{note}{more}</p>" + _table(("Mode", "East", "North", "Up"), rows, "white")
+    return f"<p class='quiet'>{note}{more}</p>" + table_of(("Mode", "East", "North", "Up"), rows, "white")
 
 
 def product_list(facts: RunFacts) -> str:
@@ -133,7 +116,7 @@ def promise(numbers: Mapping[str, Any], facts: RunFacts) -> str:
     rows = [*_budget(told, numbers["protection"]), *_faults(told), *_rest(told)]
     if not rows:
         return "<p class='quiet'>The probabilities behind the levels were not stated.</p>"
-    return f"<p>{escaped(claim)}</p>{_table(('', '', ''), rows, 'promise')}{_assumed(facts.protection)}"
+    return f"<p>{escaped(claim)}</p>{table_of(('', '', ''), rows, 'promise')}{_assumed(facts.protection)}"
 
 
 def _claim(told: Mapping[str, Any]) -> str:
@@ -194,6 +177,7 @@ FAULTS = {
     "p_iono_sat": ("its ionosphere product", "added for each satellite that has one"),
     "p_user": ("reflected signals, unseen slips", "added for each satellite"),
     "p_constellation": ("A whole constellation", "all its satellites at once"),
+    "p_sector": ("An azimuth sector", "all its satellites at once"),
     "p_trop": ("The troposphere product", ""),
     "p_iono": ("All ionosphere products", "at once"),
     "p_other": ("Any other source", ""),
@@ -203,7 +187,12 @@ FAULTS = {
 
 def _faults(told: dict[str, Any]) -> list[Row]:
     """Return the rows of the fault probabilities."""
+    if not told.get("sectors"):
+        for name in ("sectors", "sector_width_deg", "p_sector"):
+            told.pop(name, None)
     rows = [(words, f"{float(told.pop(k)):.3g}", note) for k, (words, note) in FAULTS.items() if k in told]
+    for one in told.pop("together", None) or ():
+        rows.append((one["name"], f"{float(one['probability']):.3g}", f"{names(one['groups'])} at once"))
     for name, p in dict(told.pop("satellites", None) or {}).items():
         rows.append((f"{name} alone", f"{float(p):.3g}", "in place of the sum above"))
     for letter, own in dict(told.pop("constellations", None) or {}).items():
@@ -213,6 +202,8 @@ def _faults(told: dict[str, Any]) -> list[Row]:
 
 
 REST = {
+    "sectors": ("Azimuth sectors", ""),
+    "sector_width_deg": ("Width of a sector, degrees", ""),
     "b_code_m": ("Nominal bias of code", "m"),
     "b_carrier_m": ("Nominal bias of carrier", "m"),
     "b_product_m": ("Nominal bias of products", "m"),

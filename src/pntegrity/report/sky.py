@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from pntegrity.records import FloatArray, group_of
+from pntegrity.report.columns import groups_in
 from pntegrity.report.figures import ORDER, Figure, Frame, colour, ordered, safe
-from pntegrity.report.tables import groups_in
 
 __all__ = ["label_sides", "legend", "sky"]
 
@@ -78,7 +78,8 @@ def _tracks(f: Frame) -> dict[str, Track]:
                 )
             )
             for g, (el, az) in angles.items():
-                found.setdefault(g, []).append((i, el, az))
+                if np.isfinite(el):  # a standstill has no place in the sky
+                    found.setdefault(g, []).append((i, el, az))
     out: dict[str, Track] = {}
     for g, points in found.items():
         a = np.array(points, dtype=np.float64)

@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
 
 from pntegrity.exclusion import SEPARATION, Exclusion
-from pntegrity.physics.time import DAY_NS, to_iso
+from pntegrity.physics.time import DAY_NS
 from pntegrity.pipeline import Outcome
+from pntegrity.records import Status
+from pntegrity.report.columns import groups_in
 from pntegrity.report.facts import RunFacts
+from pntegrity.report.inertial import FIX
+from pntegrity.report.inertial_story import bridged, screened
 from pntegrity.report.levels import has_bounds
 from pntegrity.report.protection import Protected, protected
-from pntegrity.report.tables import groups_in, solution
+from pntegrity.report.sentences import OFTEN, Sentence, clock_time, names, span_text
+from pntegrity.report.tables import solution
 from pntegrity.report.units import length, level_text
 
-__all__ = ["Absence", "Sentence", "absences", "cause_text", "clock_time", "names", "span_text", "story"]
-
-Kind = Literal["start", "event", "excluded", "alert", "unavailable", "gap", "end"]
-OFTEN = 3
-"""A group excluded more often than this gets one sentence for all its exclusions."""
+__all__ = ["Absence", "absences", "cause_text", "story"]
 
 
-@dataclass(frozen=True)
-class Sentence:
-    """One thing that happened: when, of which kind, and in words (the time included)."""
-
-    start_ns: int
-    end_ns: int
-    kind: Kind
-    text: str
+MANY = 10
+"""The same sentence about more stretches than this is told once for all of them."""
+NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -66,34 +62,15 @@ def story(
         *_excluded(outcomes, date),
         *_stretches(outcomes, date),
         *_gaps(outcomes, date),
+        *bridged(outcomes, date),
     ]
     p = None
     if has_bounds(outcomes):
         p = protected(solution(outcomes, facts) if table is None else table, facts)
     found += _levels(outcomes, p, date) if p is not None else []
     found.sort(key=lambda s: (s.start_ns, s.end_ns))
-    return (*found, *(_kept(outcomes, p, date) if p is not None else ()), *_end(outcomes, facts, date))
-
-
-def clock_time(t_ns: int, date: bool = False) -> str:
-    """Return the time of day (GPS time), to 0.1 s where it has decimals; `date` puts the date in front."""
-    tenth = 100_000_000
-    text = to_iso((t_ns + tenth // 2) // tenth * tenth)
-    return text.replace("T", " ") if date else text[11:]
-
-
-def span_text(start_ns: int, end_ns: int, date: bool = False) -> str:
-    """Return ``06:22:10-06:24:31``, or one time where both are the same."""
-    start, end = clock_time(start_ns, date), clock_time(end_ns, date)
-    return start if start == end else f"{start}-{end}"
-
-
-def names(groups: Sequence[str], most: int = 6) -> str:
-    """Return ``G05, G07 and E11``; a long list is cut, with its length."""
-    groups = list(dict.fromkeys(groups))
-    if len(groups) > most:
-        return f"{', '.join(groups[: most - 1])} and {len(groups) - most + 1} more"
-    return " and ".join(filter(None, [", ".join(groups[:-1]), groups[-1]])) if groups else "none"
+    kept = _kept(outcomes, p, date) if p is not None else ()
+    return (*found, *screened(outcomes, date), *kept, *_end(outcomes, facts, date))
 
 
 def cause_text(e: Exclusion) -> str:
@@ -130,27 +107,35 @@ def _satellites(o: Outcome) -> int:
 
 def _starts(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
     """Yield starts and other events of the filter; what happens again and again gets one sentence."""
-    found: dict[str, list[Outcome]] = {}
+    found: dict[str, list[tuple[Outcome, str]]] = {}
     for o in outcomes:
         words = "; ".join(e for e in o.update.events if e != "start")
-        if "start" in o.update.events and o.update.keys:
+        running = bool(o.update.keys) or o.update.screening is not None
+        if "start" in o.update.events and running:
             yield Sentence(o.t_ns, o.t_ns, "start", f"{clock_time(o.t_ns, date)}: {_started(o, words)}.")
-        elif words and o.update.keys:
-            found.setdefault(words, []).append(o)
-    for words, at in found.items():
-        if len(at) > OFTEN:
-            when = span_text(at[0].t_ns, at[-1].t_ns, date)
-            yield Sentence(at[0].t_ns, at[-1].t_ns, "event", f"{when}: {words} ({len(at)} times).")
-        else:
-            yield from (
-                Sentence(o.t_ns, o.t_ns, "event", f"{clock_time(o.t_ns, date)}: {words}.") for o in at
-            )
+        elif words and running:
+            found.setdefault(NUMBER.sub("#", words), []).append((o, words))
+    for at in found.values():
+        yield from _events(at, date)
+
+
+def _events(at: list[tuple[Outcome, str]], date: bool) -> Iterator[Sentence]:
+    """Yield what happened, each time or as one sentence; what differs by numbers only is the same."""
+    if len(at) <= OFTEN:
+        for o, words in at:
+            yield Sentence(o.t_ns, o.t_ns, "event", f"{clock_time(o.t_ns, date)}: {words}.")
+        return
+    (first, words), (last, _) = at[0], at[-1]
+    first_time = "" if len({w for _, w in at}) == 1 else "; the first of them told"
+    when = span_text(first.t_ns, last.t_ns, date)
+    yield Sentence(first.t_ns, last.t_ns, "event", f"{when}: {words} ({len(at)} times{first_time}).")
 
 
 def _started(o: Outcome, words: str) -> str:
     untested = [v.monitor.upper() for v in o.verdicts if v.status == "unavailable"]
     test = "no test possible" if len(untested) == len(o.verdicts) else f"no test yet by {names(untested)}"
-    text = f"filter started from {_satellites(o)} satellites" + (f" ({words})" if words else "")
+    source = "a fix" if FIX in groups_in(o.update.keys) else f"{_satellites(o)} satellites"
+    text = f"filter started from {source}" + (f" ({words})" if words else "")
     return text + (f"; {test}" if untested else "")
 
 
@@ -221,17 +206,29 @@ def _repeated(gone: list[Absence], outcomes: Sequence[Outcome], date: bool) -> S
 
 
 def _stretches(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
-    """Yield unresolved alerts and unavailable stretches."""
+    """Yield unresolved alerts and unavailable stretches; what comes very often gets one sentence."""
+    found: dict[tuple[Status, str], list[list[Outcome]]] = {}
     for status, run in groupby(outcomes, key=lambda o: o.status):
-        if status == "ok":
-            continue
         stretch = list(run)
-        when = span_text(stretch[0].t_ns, stretch[-1].t_ns, date)
         if status == "alert":
-            text = f"{when}: {_alarm(stretch)}. Do not use the position."
-        else:
-            text = f"{when}: no test possible ({_common_reason(stretch)})."
-        yield Sentence(stretch[0].t_ns, stretch[-1].t_ns, status, text)
+            found.setdefault((status, f"{_alarm(stretch)}{{}}. Do not use the position."), []).append(stretch)
+        elif status != "ok":
+            found.setdefault((status, f"no test possible ({_common_reason(stretch)}){{}}."), []).append(
+                stretch
+            )
+    for (status, text), stretches in found.items():
+        for first, last, often in _merged(stretches):
+            when = span_text(first.t_ns, last.t_ns, date)
+            yield Sentence(first.t_ns, last.t_ns, status, f"{when}: {often.join(text.rsplit('{}', 1))}")  # type: ignore[arg-type]
+
+
+def _merged(stretches: list[list[Outcome]]) -> Iterator[tuple[Outcome, Outcome, str]]:
+    """Yield first and last outcome of each stretch, or of all of them together, with how many there are."""
+    if len(stretches) <= MANY:
+        yield from ((x[0], x[-1], "") for x in stretches)
+        return
+    epochs = sum(map(len, stretches))
+    yield stretches[0][0], stretches[-1][-1], f" ({len(stretches)} times, {epochs} epochs)"
 
 
 def _alarm(stretch: list[Outcome]) -> str:

@@ -13,10 +13,15 @@ from pntegrity.evaluate.whiteness import whiteness
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, Update, Verdict
+from pntegrity.report.columns import family_counts, groups_in
 from pntegrity.report.facts import RunFacts
+from pntegrity.report.inertial import inertial
 from pntegrity.report.protection import protection
-from pntegrity.report.story import absences, names, story
-from pntegrity.report.tables import family_counts, groups_in, solution
+from pntegrity.report.screening import screening_numbers
+from pntegrity.report.sections import by_section
+from pntegrity.report.sentences import names
+from pntegrity.report.story import absences, story
+from pntegrity.report.tables import solution
 
 __all__ = ["committed", "headline", "monitor_counts", "summary"]
 
@@ -63,6 +68,10 @@ def summary(
     sigma_m        mean standard deviation of ``e``, ``n``, ``u`` as the filter states it; null where unknown
     protection     see `pntegrity.report.protection.protection`; null where no monitor gives levels
     products       which atmosphere products were used, in words
+    sections       see `pntegrity.report.sections.by_section`; null where there are no sections
+    inertial       see `pntegrity.report.inertial.inertial`; null without an INS
+    screening      see `pntegrity.report.screening.screening_numbers`; null where the estimator detects no
+                   faults of its own
     whiteness      see `pntegrity.evaluate.whiteness.whiteness`
     notes          what the readers dropped
     events         what happened, in words
@@ -101,6 +110,9 @@ def summary(
         "sigma_m": {a: table[f"sigma_{a}_m"].mean() for a in "enu"},
         "protection": protection(outcomes, table, facts),
         "products": list(facts.products),
+        "sections": by_section(table, facts),
+        "inertial": inertial(outcomes, table),
+        "screening": screening_numbers(outcomes),
         "whiteness": whiteness(committed(outcomes)),
         "notes": list(facts.notes),
         "events": [s.text for s in story(outcomes, facts, table)],
@@ -174,7 +186,9 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
     untested, alerts = share["unavailable"]["epochs"], share["alert"]["epochs"]
     gone = names([e["key"] for e in numbers["exclusions"]])
     cut = " The run was interrupted: this is what was done until then." if numbers["interrupted"] else ""
-    left_out = f"{gone} left out for a time." if numbers["exclusions"] else "Nothing was excluded."
+    nothing = "The monitors excluded nothing." if numbers["screening"] else "Nothing was excluded."
+    left_out = f"{gone} left out for a time." if numbers["exclusions"] else nothing
+    left_out += _screened(numbers)
     if not n:
         return "No epoch was processed", f"There is nothing to judge.{cut}", "unavailable"
     misled = _misled(numbers)
@@ -207,6 +221,21 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
         f"No alarm in {n} epoch{'s' * (n != 1)}",
         f"Every epoch was tested by at least one monitor. {left_out}{cut}",
         "ok",
+    )
+
+
+def _screened(numbers: Mapping[str, Any]) -> str:
+    """Return what the estimator left out before any monitor looked."""
+    s = numbers["screening"]
+    if s is None:
+        return ""
+    d = s["dropped"]
+    if not d["rows"]:
+        return " The estimator's own fault detection, before them, left out no row."
+    row = "row" if d["rows"] == 1 else "rows"
+    return (
+        f" Before them, the estimator's own fault detection left out {d['rows']} {row} at {d['epochs']} of "
+        f"{s['epochs']} epochs."
     )
 
 

@@ -7,9 +7,7 @@ number is not known there is a null, never a nan; a protection level without a b
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,32 +15,22 @@ import numpy.typing as npt
 import polars as pl
 
 from pntegrity.exclusion import SEPARATION
-from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.frames import ecef_to_geodetic, enu_rotations
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
-from pntegrity.records import FloatArray, Suspect, Verdict, group_of
+from pntegrity.records import FloatArray, Suspect, Verdict
+from pntegrity.report.columns import column, groups_in, stamps
 from pntegrity.report.facts import RunFacts
+from pntegrity.report.inertial import antenna, attitude_columns, solutions, velocity_columns
 from pntegrity.report.levels import bounds_of, level_columns
+from pntegrity.report.sections import section_columns
 from pntegrity.report.units import length
 
-__all__ = ["exclusions", "family_counts", "groups_in", "solution", "suspect_text", "verdicts"]
+__all__ = ["exclusions", "solution", "suspect_text", "verdicts"]
 
 #: Closer to the Earth's centre than this a state called "pos" is not Earth-fixed, m.
 EARTH_FIXED_M = 6.2e6
 XYZ, ENU = ("x", "y", "z"), ("e", "n", "u")
-
-
-@lru_cache(maxsize=4096)
-def groups_in(keys: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the groups of some rows, each once, in order."""
-    return tuple(dict.fromkeys(map(group_of, keys)))
-
-
-@lru_cache(maxsize=4096)
-def family_counts(keys: tuple[str, ...]) -> Counter[str]:
-    """Return how many groups of each family (constellation) some rows belong to."""
-    return Counter(map(family_of, groups_in(keys)))
 
 
 def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
@@ -53,9 +41,13 @@ def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
     it. ``zwd_m`` is the zenith wet delay, ``n_arcs`` counts ambiguities, ``n_arcs_born`` those born at this
     epoch. ``hpl_m``, ``vpl_m``, ``pl_east_m``, ... are the protection levels, ``pl_mode`` is the fault mode
     that dominates the largest of them, ``pl_exceeded`` tells whether the error is beyond the horizontal or
-    the vertical one.
+    the vertical one. ``ve_mps``, ... are the velocity east, north and up with its ``sigma_ve_mps``, ...;
+    ``roll_deg``, ``pitch_deg``, ``heading_deg`` with theirs are there for filters with an INS, whose position
+    is that of the antenna; ``section`` and ``gnss_age_s`` for these and for filters that screen their rows.
     """
     position, P = _positions(outcomes)
+    ins = solutions(outcomes)
+    position = antenna(ins, position)
     there = _earth_fixed(position)
     llh, to_enu = ecef_to_geodetic(there), enu_rotations(there)
     sigma = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", to_enu, P, to_enu), 0.0))
@@ -63,36 +55,28 @@ def solution(outcomes: Sequence[Outcome], facts: RunFacts) -> pl.DataFrame:
     error = np.einsum("nij,nj->ni", enu_rotations(_earth_fixed(truth)), position - truth)
     updates = [o.update for o in outcomes]
     columns: dict[str, Any] = {
-        **_time(outcomes),
+        **stamps([o.t_ns for o in outcomes]),
         "status": pl.Series([o.status for o in outcomes], dtype=pl.String),
-        **{f"{a}_m": _column(position[:, i]) for i, a in enumerate(XYZ)},
-        "lat_deg": _column(np.degrees(llh[:, 0])),
-        "lon_deg": _column(np.degrees(llh[:, 1])),
-        "height_m": _column(llh[:, 2]),
-        **{f"v{a}_mps": _column(_state(outcomes, f"vel:{a}")) for a in XYZ},
-        **{f"sigma_{a}_m": _column(sigma[:, i]) for i, a in enumerate(ENU)},
+        **{f"{a}_m": column(position[:, i]) for i, a in enumerate(XYZ)},
+        "lat_deg": column(np.degrees(llh[:, 0])),
+        "lon_deg": column(np.degrees(llh[:, 1])),
+        "height_m": column(llh[:, 2]),
+        **{f"v{a}_mps": column(_state(outcomes, f"vel:{a}")) for a in XYZ},
+        **velocity_columns(outcomes, to_enu, facts),
+        **attitude_columns(ins, facts),
+        **{f"sigma_{a}_m": column(sigma[:, i]) for i, a in enumerate(ENU)},
         **_clocks(outcomes),
         **_precise(outcomes),
         "n_rows": pl.Series([len(u.keys) for u in updates], dtype=pl.Int32),
         "n_satellites": pl.Series([len(groups_in(u.keys)) for u in updates], dtype=pl.Int32),
         "excluded": pl.Series([",".join(u.excluded) for u in updates], dtype=pl.String),
-        **{f"error_{a}_m": _column(error[:, i]) for i, a in enumerate(ENU)},
-        "error_h_m": _column(np.hypot(error[:, 0], error[:, 1])),
+        **{f"error_{a}_m": column(error[:, i]) for i, a in enumerate(ENU)},
+        "error_h_m": column(np.hypot(error[:, 0], error[:, 1])),
         **_protection(outcomes, error),
+        **section_columns(outcomes, facts, any(s is not None for s in ins)),
         "reason": pl.Series([o.reason for o in outcomes], dtype=pl.String),
     }
     return pl.DataFrame(columns)
-
-
-def _column(values: FloatArray) -> pl.Series:
-    return pl.Series(np.where(np.isfinite(values), values, np.nan), dtype=pl.Float64).fill_nan(None)
-
-
-def _time(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
-    return {
-        "t_ns": pl.Series([o.t_ns for o in outcomes], dtype=pl.Int64),
-        "time_gps": pl.Series([to_iso(o.t_ns) for o in outcomes], dtype=pl.String),
-    }
 
 
 def _positions(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray]:
@@ -129,10 +113,10 @@ def _clocks(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
     for name in filter(None, set(names)):
         clock = np.where(np.array(names) == name, _state(outcomes, name), clock)
     return {
-        "clk_m": _column(clock),
+        "clk_m": column(clock),
         "clk_system": pl.Series([n.partition(":")[2] or None for n in names], dtype=pl.String),
-        "drift_mps": _column(_state(outcomes, "drift")),
-        **{f"isb_{n[4:]}_m": _column(_state(outcomes, n)) for n in isb},
+        "drift_mps": column(_state(outcomes, "drift")),
+        **{f"isb_{n[4:]}_m": column(_state(outcomes, n)) for n in isb},
     }
 
 
@@ -157,7 +141,7 @@ def _precise(outcomes: Sequence[Outcome]) -> dict[str, pl.Series]:
     arcs = [u.posterior.layout.block("amb") for u in updates]
     born = [int((~u.F[a].any(axis=1)).sum()) for u, a in zip(updates, arcs, strict=True)]
     return {
-        **{name: _column(values) for name, values in (states | sigmas).items()},
+        **{name: column(values) for name, values in (states | sigmas).items()},
         "n_arcs": pl.Series([len(a) for a in arcs], dtype=pl.Int32),
         "n_arcs_born": pl.Series(born, dtype=pl.Int32),
     }
@@ -207,16 +191,14 @@ def verdict_frame(found: Sequence[Verdict]) -> pl.DataFrame:
 
     def number(name: str) -> pl.Series:
         values = np.array([getattr(v, name) for v in found], dtype=np.float64)
-        return _column(np.where(tested, values, np.nan))
+        return column(np.where(tested, values, np.nan))
 
     def text(name: str) -> pl.Series:
         return pl.Series([getattr(v, name) for v in found], dtype=pl.String)
 
-    stamps = {t: to_iso(t) for t in {v.t_ns for v in found}}
     return pl.DataFrame(
         {
-            "t_ns": pl.Series([v.t_ns for v in found], dtype=pl.Int64),
-            "time_gps": pl.Series([stamps[v.t_ns] for v in found], dtype=pl.String),
+            **stamps([v.t_ns for v in found]),
             **{n: text(n) for n in ("monitor", "variant", "status")},
             **{n: number(n) for n in ("statistic", "threshold", "p_fa")},
             "dof": pl.Series([v.dof for v in found], dtype=pl.Int32),
@@ -257,13 +239,12 @@ def exclusions(outcomes: Sequence[Outcome]) -> pl.DataFrame:
     age = np.array([(e.t_ns - e.onset_ns) * 1e-9 for e, _ in made], dtype=np.float64)
     return pl.DataFrame(
         {
-            "t_ns": pl.Series([e.t_ns for e, _ in made], dtype=pl.Int64),
-            "time_gps": pl.Series([to_iso(e.t_ns) for e, _ in made], dtype=pl.String),
+            **stamps([e.t_ns for e, _ in made]),
             "key": pl.Series([e.group for e, _ in made], dtype=pl.String),
             "monitor": pl.Series([e.monitor for e, _ in made], dtype=pl.String),
-            "statistic": _column(np.array([e.statistic for e, _ in made], dtype=np.float64)),
-            "estimated_bias": _column(np.where(ramps, size * age, size)),
-            "estimated_rate": _column(np.where(ramps, size, np.nan)),
+            "statistic": column(np.array([e.statistic for e, _ in made], dtype=np.float64)),
+            "estimated_bias": column(np.where(ramps, size * age, size)),
+            "estimated_rate": column(np.where(ramps, size, np.nan)),
             "kind": pl.Series([e.kind for e, _ in made], dtype=pl.String),
             "onset_gps": pl.Series([to_iso(e.onset_ns) for e, _ in made], dtype=pl.String),
             "ambiguous": pl.Series([e.ambiguous for e, _ in made], dtype=pl.Boolean),

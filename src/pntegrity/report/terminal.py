@@ -9,7 +9,7 @@ from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.story import story
 from pntegrity.report.summary import headline, summary
-from pntegrity.report.units import length, level_text, together
+from pntegrity.report.units import degrees, length, level_text, together
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -90,7 +90,32 @@ def _figures(numbers: Mapping[str, Any]) -> list[str]:
         horizontal, up = p["h"], p["u"]
         rms = f"RMS {length(horizontal['rms_m'])} horizontal, {length(up['rms_m'])} up"
         lines.append(f"position    {rms} (95 %: {together(horizontal['p95_m'], up['p95_m'])})")
-    return lines + ([_protection(numbers["protection"])] if numbers["protection"] else [])
+    lines += [_protection(numbers["protection"])] if numbers["protection"] else []
+    return [*lines, *_inertial(numbers)]
+
+
+def _inertial(numbers: Mapping[str, Any]) -> list[str]:
+    """Return the lines of an INS and of fault detection before the filter."""
+    ins, screened, found = numbers["inertial"], numbers["screening"], numbers["sections"]
+    out = []
+    if found is not None:
+        out.append(f"sections    {', '.join(_section(r) for r in found['rows'][:-1] if r['epochs'])}")
+    if ins is not None:
+        angles = ", ".join(f"{a} {degrees(v)}" for a, v in ins["attitude_sigma_deg"].items())
+        error = ins["attitude_error_deg"]
+        rms = f"; heading RMS {degrees(error['heading']['rms'])}" if error is not None else ""
+        out.append(f"attitude    sigma {angles}{rms}")
+    if screened is not None:
+        rows, used = screened["dropped"]["rows"], screened["used"]["epochs"]
+        said = f"{screened['method']}, {screened['variant']}: {rows} rows dropped"
+        out.append(f"screened    {said}, {used} of {screened['epochs']} epochs used")
+    return out
+
+
+def _section(r: Mapping[str, Any]) -> str:
+    """Return how much of the run a section is, and its error where the truth is known."""
+    rms = f" RMS {length(r['horizontal_m']['rms'])}" if r["horizontal_m"] else ""
+    return f"{r['section']}{rms} ({100 * r['share']:.0f} %)"
 
 
 def _protection(p: Mapping[str, Any]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["duration", "length", "level_text", "rounded", "together", "unit"]
+__all__ = ["degrees", "duration", "length", "level_text", "rounded", "together", "unit"]
 
 
 def unit(largest_m: float) -> tuple[float, str]:
@@ -38,6 +38,13 @@ def rounded(value: float, unit_name: str) -> str:
     if unit_name == "m":
         return f"{value:.2f}" if size < 9.995 else f"{value:.1f}"
     return f"{value:.1f}" if size >= 0.995 or not size else f"{value:#.2g}"
+
+
+def degrees(value_deg: float | None) -> str:
+    """Return an angle in words, ``0.42°``, with two digits or whole degrees; ``–`` where it is not known."""
+    if value_deg is None:
+        return "–"
+    return f"{value_deg:.0f}°" if abs(value_deg) >= 9.95 else f"{value_deg:#.2g}°"
 
 
 def duration(seconds: float) -> str:

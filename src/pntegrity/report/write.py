@@ -12,10 +12,14 @@ from pntegrity.formats.update_record import Entry, write_record
 from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.html import page
+from pntegrity.report.screening import dropped, screening
 from pntegrity.report.summary import summary
 from pntegrity.report.tables import exclusions, solution, verdicts
 
 __all__ = ["entries", "results_folder", "write_results"]
+
+SCREENING, DROPPED = "screening.parquet", "screening_dropped.csv"
+"""Files that only runs have whose estimator detects faults of its own."""
 
 
 def entries(outcomes: Sequence[Outcome]) -> list[Entry]:
@@ -38,7 +42,8 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
     -------
     dict
         Path of each file: ``solution`` and ``verdicts`` (parquet), ``exclusions`` (csv), ``updates`` (npz),
-        ``summary`` (json), ``report`` (html).
+        ``summary`` (json), ``report`` (html); and ``screening`` (parquet) and ``dropped`` (csv) where the
+        estimator detects faults of its own. Where it does not, these two of an earlier run are removed.
 
     Raises
     ------
@@ -63,12 +68,36 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
             lambda p: p.write_text(page(outcomes, facts, numbers, table), "utf-8", "replace"),
         ),
     }
+    screened = screening(outcomes)
+    if len(screened):
+        writers["screening"] = (SCREENING, screened.write_parquet)
+        writers["dropped"] = (DROPPED, dropped(outcomes).write_csv)
+    else:
+        _remove(folder)
     paths = {}
     for name, (file, write) in writers.items():
         paths[name] = folder / file
         with atomically(paths[name]) as temporary:
             write(temporary)
     return paths
+
+
+def _remove(folder: Path) -> None:
+    """Remove what only some runs have, of an earlier run.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be removed.
+    """
+    for path in (folder / SCREENING, folder / DROPPED):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"this file of an earlier run cannot be removed: {error.strerror}", path=path,
+                hint="Remove it, or choose another folder with --out",
+            ) from error  # fmt: skip
 
 
 def results_folder(out: Path) -> Path:
