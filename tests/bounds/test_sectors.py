@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from math import inf, nan, radians
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from test_modes import rows, unassigned
 
-from pntegrity.bounds import CITY, Ism, events_of, fault_modes, sectors_at, with_risen
+from pntegrity.bounds import CITY, MESSAGES, Ism, events_of, fault_modes, sectors_at, with_risen
 from pntegrity.errors import InputError
 
 STREET = Ism(sectors=8, p_sector=1e-4, p_sat=1e-5)
@@ -134,3 +135,9 @@ def test_the_page_tells_the_numbers_of_a_city() -> None:
     changed = {k: v for k, v in CITY.to_table().items() if v != Ism().to_table()[k] or k in told}
     assert changed.pop("constellations")["G"]["p_constellation"] == 1e-8
     assert {k: float(v) for k, v in told.items()} == changed
+
+
+def test_a_message_of_ones_own_starts_from_that_of_the_surroundings() -> None:
+    mine = Ism.from_table(MESSAGES["city"].to_table() | {"p_hmi": 1e-4})
+    assert mine == replace(CITY, p_hmi=1e-4)
+    assert MESSAGES["open"] == Ism()

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
 from numbers import Real
+from types import MappingProxyType
 from typing import Any
 
 from pntegrity.states import is_satellite
 
-__all__ = ["CITY", "Ism"]
+__all__ = ["CITY", "MESSAGES", "Ism"]
 
 Three = tuple[float, float, float]
 SPLIT = (0.25, 0.25, 0.5)
@@ -331,3 +332,6 @@ CITY = Ism(
 Up to 50 satellites need no pairs: they stay unmonitored, with a probability below 8e-6. The reasons for each
 number are on the page "Integrity support message" of the documentation.
 """
+
+MESSAGES: Mapping[str, Ism] = MappingProxyType({"open": Ism(), "city": CITY})
+"""The message that suits a surrounding, where none is given."""
