@@ -204,7 +204,7 @@ def test_three_satellites_only_are_unavailable_with_the_reason(run, files):
 # -------------------------------------------------------------------------------------------------
 
 IMPOSSIBLE = {
-    "--monitors foo": ["foo", "aime, glr, rctm"],
+    "--monitors foo": ["foo", "aime, factor_set, glr, rctm"],
     "--monitors ,": ["at least one monitor"],
     "--p-fa 0": ["p_fa", "greater than 0"],
     "--p-fa 0.5": ["p_fa", "0.5"],

@@ -5,6 +5,6 @@ from pntegrity.bounds.modes import Event, FaultModes, Mode, events_of, fault_mod
 from pntegrity.bounds.sectors import Sectors, sectors_at, with_risen
 
 __all__ = [
-    "CITY", "MESSAGES", "Event", "FaultModes", "Ism", "Mode", "Sectors", "events_of", "fault_modes", "sectors_at",
-    "with_risen",
+    "CITY", "MESSAGES", "Event", "FaultModes", "Ism", "Mode", "Sectors", "events_of", "fault_modes",
+    "sectors_at", "with_risen",
 ]  # fmt: skip
