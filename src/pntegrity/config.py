@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from pntegrity.bounds.ism import Ism
+from pntegrity.bounds.ism import MESSAGES, Ism
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover as discover_estimators
-from pntegrity.inertial import InertialConfig
+from pntegrity.inertial import InertialConfig, usual_monitors
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import parse_fault
@@ -103,8 +103,9 @@ class RunConfig(InertialConfig):
     def _usual_monitors(cls, values: Any) -> Any:
         if not isinstance(values, dict) or "monitors" in values:
             return values
-        known = discover_estimators().get(str(values.get("estimator", "spp_kf")))
-        return values if known is None else {**values, "monitors": known.monitors}
+        name = str(values.get("estimator", "spp_kf"))
+        known = discover_estimators().get(name)
+        return values if known is None else {**values, "monitors": usual_monitors(name, values) or known.monitors}
 
     @field_validator("monitors")
     @classmethod
@@ -164,8 +165,11 @@ class RunConfig(InertialConfig):
         return noise_of(stated, model) if stated else model
 
     def ism_model(self) -> Ism:
-        """Return the integrity support message; its false-alert probability is `p_fa`, where it has none."""
-        return Ism.from_table({"p_fa": self.p_fa} | self.ism)
+        """Return the integrity support message: that of the estimator's surroundings, where nothing else is
+        given; its false-alert probability is `p_fa`, where it has none.
+        """
+        usual = MESSAGES[discover_estimators()[self.estimator].surroundings]
+        return Ism.from_table(usual.to_table() | {"p_fa": self.p_fa} | self.ism)
 
     def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
         """Return the monitors, each with its calibrated threshold factor and its own options."""

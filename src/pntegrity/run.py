@@ -215,6 +215,12 @@ def release(outcome: Outcome) -> None:
         update.release()
 
 
+def _protection(config: RunConfig) -> dict[str, Any]:
+    """Return what the protection levels assume, and how they are made; empty where there are none."""
+    made = next((m for m in config.build_monitors() if m.name == "separation"), None)
+    return {} if made is None else config.ism_model().to_table() | {"levels": made.levels}
+
+
 def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], interrupted: bool) -> RunFacts:
     noise = config.noise_model()
     return RunFacts(
@@ -225,7 +231,7 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
             config.estimator, noise, config.motion, config.build_monitors(), options_for(config, loaded).ins
         ),
         products=loaded.products,
-        protection=config.ism_model().to_table() if "separation" in config.monitors else {},
+        protection=_protection(config),
         **_truth(config, [o.t_ns for o in outcomes]),
         notes=loaded.notes,
         faults=tuple(describe(parse_fault(f)) for f in config.faults),

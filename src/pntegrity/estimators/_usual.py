@@ -38,6 +38,7 @@ class Usual:
     monitors: ClassVar[tuple[str, ...]] = MONITORS
     monitoring: ClassVar[dict[str, dict[str, Any]]] = {}
     policy: ClassVar[dict[str, Any]] = {}
+    surroundings: ClassVar[Literal["open", "city"]] = "open"
     settle_s: ClassVar[float] = 0.0
     clip_sigma: ClassVar[float] = np.inf
     fitted: ClassVar[tuple[Fitted, ...]] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class GnssIns(Usual):
     default_noise: ClassVar[NoiseModel] = CITY
     max_gap_s: ClassVar[float] = 600.0
     monitors: ClassVar[tuple[str, ...]] = ("factor_set", "separation")
+    monitoring: ClassVar[dict[str, dict[str, Any]]] = {"separation": {"pairs": False, "levels": "observed"}}
+    surroundings: ClassVar[Literal["open", "city"]] = "city"
     options: GnssOptions = field(default_factory=GnssOptions)
 
     @property

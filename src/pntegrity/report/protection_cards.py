@@ -202,6 +202,7 @@ def _faults(told: dict[str, Any]) -> list[Row]:
 
 
 REST = {
+    "levels": ("Levels are", ""),
     "sectors": ("Azimuth sectors", ""),
     "sector_width_deg": ("Width of a sector, degrees", ""),
     "b_code_m": ("Nominal bias of code", "m"),
@@ -231,6 +232,10 @@ def _rest(told: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
+HEEDED = "Whoever uses the position heeds the alerts: an epoch with an alert promises nothing."
+OBSERVED = "Levels grow with what the hypotheses are seen to disagree by, so they need no alert."
+
+
 def _assumed(told: Mapping[str, Any]) -> str:
     """Return what must be true for the levels to hold."""
     time = duration(float(told["exposure_s"])) if "exposure_s" in told else "the exposure time"
@@ -241,7 +246,7 @@ def _assumed(told: Mapping[str, Any]) -> str:
         "correlation times alike; nominal biases are at most those above.",
         "A fault may have any size and course, from the epoch on at which the monitor began; older ones are "
         "not covered.",
-        "Whoever uses the position heeds the alerts: an epoch with an alert promises nothing.",
+        OBSERVED if told.get("levels") == "observed" else HEEDED,
     )
     items = "".join(f"<li>{escaped(s)}</li>" for s in said)
     return f"<h3>What this assumes</h3><ul class='spots'>{items}</ul>"
