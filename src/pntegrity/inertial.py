@@ -13,7 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pntegrity.errors import InputError
 from pntegrity.estimators._gnss import GnssOptions, snapshot
+from pntegrity.estimators._ins_alignment import COURSE_MPS, COURSE_SIGMA
 from pntegrity.estimators._ins_options import Coupling, Detection, InsOptions
+from pntegrity.estimators._usual import MONITORS
+from pntegrity.estimators.gnss_ins import GnssIns
 from pntegrity.formats._source import read_text
 from pntegrity.formats.fixes import POSITION_KEYS, VELOCITY_KEYS, read_fixes
 from pntegrity.formats.imu_table import mounting, read_imu
@@ -21,17 +24,17 @@ from pntegrity.kernels.factor_set import FactorSet
 from pntegrity.kernels.lag import Felt, Lag, find_lag
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.physics.time import SECOND_NS, from_iso
-from pntegrity.records import Epoch, FloatArray, Inertial
+from pntegrity.records import Epoch, FloatArray, Inertial, Observation
 from pntegrity.sensors.imu_spec import read_imu_spec
 from pntegrity.sensors.increments import with_increments
 
-__all__ = ["InertialConfig", "estimate_lag", "fixes_of", "read_factors", "with_imu"]
+__all__ = ["InertialConfig", "estimate_lag", "fixes_of", "read_factors", "usual_monitors", "with_course", "with_imu"]
 
 ESTIMATOR = "gnss_ins"
 #: What only this estimator uses; a value that is none of these says that it is wanted.
 UNUSED: dict[str, tuple[Any, ...]] = {
     "imu": (None,), "fixes": (None,), "factors": (None,), "heading_deg": (None,), "coupling": (None,),
-    "zupt": (False,), "lever_arm_m": ((0.0, 0.0, 0.0),),
+    "zupt": (False,), "lever_arm_m": ((0.0, 0.0, 0.0),), "fix_velocity": (True,), "fix_velocity_lag_s": (0.0,),
 }  # fmt: skip
 #: A lag is believed where this much of the accelerations is explained, and its standard deviation is at most
 #: this, s; lags are looked for up to `MOST_LAG_S`.
@@ -39,6 +42,8 @@ LEAST_CORRELATION, MOST_SIGMA_S, MOST_LAG_S = 0.6, 0.1, 1.0
 #: Positions tell the lag where the accelerations that they give are better than this, m/s^2: a receiver's
 #: velocities may be late themselves.
 POSITIONS_MPS2 = 1.0
+#: A vehicle's usual acceleration: what a velocity of two positions does not know of its end, m/s^2.
+USUAL_MPS2 = 1.0
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Finite, Finite, Finite]
@@ -51,7 +56,8 @@ class InertialConfig(BaseModel):
     antenna, forward, right, down; `imu_axes` and `imu_mount_deg` say how the unit is mounted; `imu_lag_s` by
     how much its stamps are late, or ``"auto"``; `imu_start` when second 0 of bare seconds was. `coupling` is
     tight but where `fde` works on fixes, or `fixes` take the place of observations; `fix_floor_m` and
-    `fix_floor_mps` are the smallest sigmas that are believed of these. `factors` is a file that
+    `fix_floor_mps` are the smallest sigmas that are believed of these; `fix_velocity_lag_s` says by how much
+    their velocities are late, `fix_velocity` whether these are used at all. `factors` is a file that
     ``train-factors`` wrote.
     """
 
@@ -69,6 +75,8 @@ class InertialConfig(BaseModel):
     fixes: Path | None = None
     fix_floor_m: float = Field(0.0, ge=0.0, allow_inf_nan=False)
     fix_floor_mps: float = Field(0.0, ge=0.0, allow_inf_nan=False)
+    fix_velocity: bool = True
+    fix_velocity_lag_s: float = Field(0.0, ge=-2.0, le=2.0)
     heading_deg: float | None = Field(None, ge=-360.0, le=360.0)
     zupt: bool = False
     factors: Path | None = None
@@ -173,12 +181,68 @@ def read_factors(path: Path, variant: Literal["exact", "published"] = "exact") -
 
 
 def fixes_of(config: InertialConfig, notes: list[str]) -> tuple[Epoch, ...]:
-    """Return the epochs of a receiver's own fixes."""
+    """Return the epochs of a receiver's own fixes; where these have no velocities, those that begin have one
+    of their positions.
+    """
     assert config.fixes is not None
-    return read_fixes(
+    epochs = read_fixes(
         config.fixes, origin_ns=config.origin_ns(), sigma_floor_m=config.fix_floor_m,
-        sigma_floor_mps=config.fix_floor_mps, notes=notes,
+        sigma_floor_mps=config.fix_floor_mps, velocity=config.fix_velocity,
+        velocity_lag_s=config.fix_velocity_lag_s, notes=notes,
     )  # fmt: skip
+    return epochs if any(len(e.observations[0].keys) == 6 for e in epochs) else with_course(epochs)
+
+
+def usual_monitors(estimator: str, values: dict[str, Any]) -> tuple[str, ...] | None:
+    """Return the monitors that suit the fixes of a run, None where it has none: a fix is one group, which
+    nothing beside it in the same epoch can contradict.
+    """
+    return MONITORS if estimator == ESTIMATOR and values.get("fixes") else None
+
+
+def with_course(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
+    """Return fixes without velocities so that an alignment can start: with a velocity from two positions, up
+    to the first that is fast enough to tell a course, and again after a gap in which a filter starts anew.
+
+    Further ones would only count positions twice.
+    """
+    out: list[Epoch] = []
+    waiting = True
+    for i, epoch in enumerate(epochs):
+        waiting |= i > 0 and (epoch.t_ns - epochs[i - 1].t_ns) * 1e-9 > GnssIns.max_gap_s
+        found = _moved(epochs, i) if waiting else None
+        if found is not None:
+            fix, sigma = found
+            epoch = replace(epoch, observations=(fix,))
+            waiting = float(np.linalg.norm(fix.y[3:])) <= max(COURSE_MPS, COURSE_SIGMA * sigma)
+        out.append(epoch)
+    return tuple(out)
+
+
+def _moved(epochs: Sequence[Epoch], i: int) -> tuple[Observation, float] | None:
+    """Return a fix with the mean velocity since an earlier one, and its standard deviation.
+
+    The earlier one is as long ago as makes the least of both errors: those of the positions over the time,
+    and half of an acceleration times the time.
+    """
+    fix = epochs[i].observations[0]
+    assert fix.sigma is not None
+    noise = float(np.sqrt(np.mean(fix.sigma**2)))
+    span_ns = round(np.sqrt(np.sqrt(8.0) * noise / USUAL_MPS2) * SECOND_NS)
+    j = i - 1
+    while j > 0 and epochs[i].t_ns - epochs[j].t_ns < span_ns:
+        j -= 1
+    dt = (epochs[i].t_ns - epochs[j].t_ns) * 1e-9
+    if j < 0 or dt > MOST_LAG_S + 2e-9 * span_ns:
+        return None
+    before = epochs[j].observations[0]
+    cov = np.zeros((6, 6))
+    cov[:3, :3] = fix.aux["cov"]
+    cov[3:, 3:] = (fix.aux["cov"] + before.aux["cov"]) / dt**2 + (0.5 * USUAL_MPS2 * dt) ** 2 * np.eye(3)
+    y = np.concatenate([fix.y, (fix.y - before.y) / dt])
+    keys = POSITION_KEYS + VELOCITY_KEYS
+    told = replace(fix, keys=keys, y=y, sigma=np.sqrt(np.diagonal(cov)), aux={"cov": cov})
+    return told, float(np.sqrt(np.trace(cov[3:, 3:]) / 3.0))
 
 
 def with_imu(

@@ -116,6 +116,12 @@ INERTIAL = [
     click.option("--fix-floor-m", type=float, help="Smallest sigma that is believed of fixes, m.  [0]"),
     click.option("--fix-floor-mps", type=float, help="The same of their velocities, m/s.  [0]"),
     click.option(
+        "--fix-velocity/--no-fix-velocity", default=None, help="Use the velocities of fixes.  [yes]"
+    ),
+    click.option(
+        "--fix-velocity-lag-s", type=float, help="By how much these are late against positions, s.  [0]"
+    ),
+    click.option(
         "--heading-deg", type=float, help="Heading at the first epoch, from north.  [from the course]"
     ),
     click.option(
@@ -125,8 +131,8 @@ INERTIAL = [
 MONITORING = [
     click.option(
         "--monitors",
-        help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels).  [all but "
-        "the last; ppp_rtk: the last]",
+        help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels), factor_set.  "
+        "[the first five; ppp_rtk: separation; gnss_ins: factor_set and separation, with --fixes the first five]",
     ),
     click.option(
         "--ism",

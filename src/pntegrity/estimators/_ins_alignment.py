@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pntegrity.estimators._ins_options import InsOptions
-from pntegrity.kernels.rotations import attitude_angles, from_angles, rotation
+from pntegrity.kernels.rotations import attitude_angles, cross, from_angles, rotation
 from pntegrity.records import FloatArray, Inertial
 from pntegrity.states import freeze
 
@@ -132,7 +132,7 @@ def _tilted_back(force: FloatArray) -> FloatArray:
     """Return the smallest rotation that turns a force upwards."""
     unit = force / max(float(np.linalg.norm(force)), 1e-9)
     up = np.array([0.0, 0.0, 1.0])
-    axis = np.cross(unit, up)
+    axis = cross(unit, up)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
         return np.eye(3)

@@ -24,7 +24,7 @@ from pntegrity.estimators._ins_still import standing, zero_velocity
 from pntegrity.kernels.factor_set import screen_factor_set
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.lsr import screen_lsr, screen_none
-from pntegrity.kernels.rotations import skew
+from pntegrity.kernels.rotations import cross, skew
 from pntegrity.kernels.snapshot_fix import Fix, Pseudoranges
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.physics.frames import enu_rotation
@@ -132,6 +132,6 @@ def _jacobian(state: State, keys: tuple[str, ...]) -> FloatArray:
     H = np.zeros((6, len(state)))
     H[range(6), range(6)] = 1.0
     H[:3, state.layout.block("att")] = -skew(aside.C @ aside.arm_m)
-    H[3:, state.layout.block("att")] = -skew(aside.C @ np.cross(aside.rate_radps, aside.arm_m))
+    H[3:, state.layout.block("att")] = -skew(aside.C @ cross(aside.rate_radps, aside.arm_m))
     H[3:, state.layout.block("bg")] = aside.C @ skew(aside.arm_m)
     return H[[ORDER.index(k) for k in keys]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pntegrity.estimators._ins_options import InsOptions
-from pntegrity.estimators._ins_solution import attitude_now
+from pntegrity.estimators._ins_solution import attitude_now, mean_of
 from pntegrity.kernels.strapdown import mechanise
 from pntegrity.records import FloatArray, Inertial, State
 from pntegrity.sensors.gnss import EARTH_RATE_RADPS
@@ -47,7 +47,7 @@ def advance(state: State, imu: Inertial | None, dt: float, options: InsOptions) 
     options : InsOptions
     """
     errors = np.zeros(12)
-    found = np.concatenate([state.block(kind)[0] for kind in ("bg", "ba", "sg", "sa")])
+    found = np.concatenate([mean_of(state, kind) for kind in ("bg", "ba", "sg", "sa")])
     errors[: len(found)] = found
     none = np.zeros((0, 3))
     spans, angles, forces = (imu.dt_s, imu.angle_rad, imu.velocity_mps) if imu else (np.zeros(0), none, none)

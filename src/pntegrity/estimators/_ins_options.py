@@ -38,6 +38,12 @@ class InsOptions:
         Whether a standstill that the IMU shows is used as a measurement.
     scale_factors : bool
         Whether scale factors are states: 21 states of the INS instead of 15.
+    limit_sigma : float
+        The tight filter's own detection leaves out a row that is further off than so many of its standard
+        deviations.
+    lost_s : float
+        Where most pseudoranges have been left out for so long, position and velocity are taken for lost and
+        start anew.
 
     Raises
     ------
@@ -53,6 +59,8 @@ class InsOptions:
     heading_rad: float | None = None
     zero_velocity: bool = False
     scale_factors: bool = True
+    limit_sigma: float = 3.3
+    lost_s: float = 20.0
 
     def __post_init__(self) -> None:
         arm = np.asarray(self.lever_arm_m, dtype=np.float64)
@@ -63,5 +71,11 @@ class InsOptions:
                 f"a lever arm of {float(np.linalg.norm(arm)):.0f} m is implausible: give it in metres, "
                 "forward, right, down"
             )
+        for name in ("limit_sigma", "lost_s"):
+            value = getattr(self, name)
+            if not (isinstance(value, int | float) and np.isfinite(value) and value > 0.0):
+                raise ValueError(f"`{name}` must be a number above 0, not {value!r}")
+        if self.heading_rad is not None and not np.isfinite(self.heading_rad):
+            raise ValueError(f"`heading_rad` must be an angle or None, not {self.heading_rad!r}")
         if self.coupling == "tight" and self.fde in ("factor-set", "lsr"):
             raise ValueError(f"`fde` {self.fde} works on fixes: it goes with loose coupling, not tight")

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pntegrity.kernels.factor_set import FactorMemory
-from pntegrity.kernels.rotations import attitude_angles, rotation
+from pntegrity.kernels.rotations import attitude_angles, cross, rotation
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import FloatArray, State, Update
 from pntegrity.states import freeze
 
 __all__ = [
-    "Aside", "InsSolution", "antenna", "antenna_of", "attitude_now", "inertial_names", "solution_of",
-    "with_aside",
+    "Aside", "InsSolution", "antenna", "antenna_of", "attitude_now", "inertial_names", "mean_of",
+    "solution_of", "with_aside",
 ]  # fmt: skip
 
 AXES = ("x", "y", "z")
@@ -74,7 +74,7 @@ def antenna_of(
     position_m: FloatArray, velocity_mps: FloatArray, aside: Aside
 ) -> tuple[FloatArray, FloatArray]:
     """Return position and velocity of the antenna, ECEF, from those of the IMU."""
-    swing = aside.C @ np.cross(aside.rate_radps, aside.arm_m)
+    swing = aside.C @ cross(aside.rate_radps, aside.arm_m)
     return position_m + aside.C @ aside.arm_m, velocity_mps + swing
 
 
@@ -90,8 +90,12 @@ def with_aside(update: Update, aside: Aside) -> Update:
 
 def attitude_now(state: State) -> FloatArray:
     """Return the attitude, body to ECEF, shape (3, 3)."""
-    turned, _ = state.block("att")
-    return np.asarray(rotation(turned) @ state.aside.C)
+    return np.asarray(rotation(mean_of(state, "att")) @ state.aside.C)
+
+
+def mean_of(state: State, kind: str) -> FloatArray:
+    """Return the mean of the states of a kind (`State.block` without their covariance)."""
+    return np.asarray(state.mean[state.layout.block(kind)])
 
 
 def solution_of(state: State) -> InsSolution | None:
@@ -105,13 +109,13 @@ def solution_of(state: State) -> InsSolution | None:
     if not len(state) or not isinstance(state.aside, Aside):
         return None
     C = attitude_now(state)
-    antenna = state.block("pos")[0] + C @ state.aside.arm_m
+    antenna = mean_of(state, "pos") + C @ state.aside.arm_m
     to_enu = enu_rotation(antenna)
     angles = attitude_angles(to_enu @ C)
     spread = to_enu @ state.block("att")[1] @ to_enu.T
     turn = _angle_jacobian(angles)
     sigma = np.sqrt(np.maximum(np.diagonal(turn @ spread @ turn.T), 0.0))
-    return InsSolution(antenna, state.block("vel")[0], angles, sigma)
+    return InsSolution(antenna, mean_of(state, "vel"), angles, sigma)
 
 
 def _angle_jacobian(angles: FloatArray) -> FloatArray:

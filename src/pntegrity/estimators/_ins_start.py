@@ -14,6 +14,7 @@ from pntegrity.estimators._ins_alignment import Aligned, Alignment, aligned, fel
 from pntegrity.estimators._ins_solution import Aside, inertial_names
 from pntegrity.estimators._navigation import MOTION, start_prior
 from pntegrity.kernels.factor_set import FactorMemory
+from pntegrity.kernels.rotations import cross
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import Epoch, Inertial, Layout, Prior, State
 
@@ -102,7 +103,7 @@ def _with_attitude(
     C = to_ecef @ found.C
     rate = imu.angle_rad.sum(axis=0) / imu.dt_s.sum() - found.gyro_bias_radps
     arm = np.asarray(options.ins.lever_arm_m)
-    velocity = np.zeros(3) if fix.velocity_mps is None else fix.velocity_mps - C @ np.cross(rate, arm)
+    velocity = np.zeros(3) if fix.velocity_mps is None else fix.velocity_mps - C @ cross(rate, arm)
     mean, P, layout = prior.state.mean.copy(), prior.state.P.copy(), prior.state.layout
     mean[:3], mean[3:6], mean[layout.block("bg")] = fix.position_m - C @ arm, velocity, found.gyro_bias_radps
     P[:6, :6] = np.diag(np.repeat([START_M, START_MPS], 3) ** 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pntegrity.estimators._ins_options import InsOptions
+from pntegrity.estimators._ins_solution import mean_of
 from pntegrity.estimators._navigation import ANGLES, Stack
 from pntegrity.records import FloatArray, Inertial, State
 
@@ -36,7 +37,7 @@ def standing(imu: Inertial | None, prior: State, options: InsOptions) -> bool:
     if speed > MOVING_MPS + 3.0 * float(np.sqrt(np.trace(spread))):
         return False
     dt, spec = imu.dt_s[:, None], options.spec
-    force, rate = imu.velocity_mps / dt, imu.angle_rad / dt - prior.block("bg")[0]
+    force, rate = imu.velocity_mps / dt, imu.angle_rad / dt - mean_of(prior, "bg")
     white = ALLOWED_SIGMA / np.sqrt(float(imu.dt_s.mean()))
     calm = force.std(axis=0).max() < SHAKEN_MPS2 + white * spec.accel_noise_mps2_rthz
     level = rate.std(axis=0).max() < SHAKEN_RADPS + white * spec.gyro_noise_radps_rthz
@@ -48,4 +49,4 @@ def zero_velocity(prior: State) -> Stack:
     H = np.zeros((3, len(prior)))
     H[range(3), prior.layout.block("vel")] = 1.0
     none: dict[str, FloatArray] = {name: np.full(3, np.nan) for name in ANGLES}
-    return Stack(KEYS, -prior.block("vel")[0], H, np.full(3, STILL_MPS**2), none)
+    return Stack(KEYS, -mean_of(prior, "vel"), H, np.full(3, STILL_MPS**2), none)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from pntegrity.estimators._ins_still import standing, zero_velocity
 from pntegrity.estimators._layout import columns
 from pntegrity.estimators._navigation import MOTION, Stack, stack, use
 from pntegrity.kernels.linear import symmetric
-from pntegrity.kernels.rotations import skew
+from pntegrity.kernels.rotations import cross, skew
 from pntegrity.kernels.row_tests import leave_out
 from pntegrity.kernels.signatures import is_rate
 from pntegrity.kernels.snapshot_fix import pdop_of
@@ -27,16 +27,16 @@ from pntegrity.records import Epoch, FloatArray, Layout, Prior, Screening, State
 __all__ = ["correct", "predict"]
 
 BoolArray = npt.NDArray[np.bool_]
-#: A row further off than this is not used, standard deviations.
-LIMIT_SIGMA = 3.3
-#: Where more than half of the codes are refused for so long, and there are enough, the position is taken for
-#: lost.
-LOST_S, LOST_ROWS = 20.0, 6
+IndexArray = npt.NDArray[np.intp]
+#: Epochs with fewer pseudoranges do not tell whether the position is lost.
+LOST_ROWS = 6
 
 
-def nav_places(layout: Layout, names: tuple[str, ...]) -> npt.NDArray[np.intp]:
-    """Return where the states of the INS stand, in the order of its errors."""
-    return columns(layout, (*MOTION, *names))
+@lru_cache(maxsize=512)
+def _nav_places(layout: Layout, names: tuple[str, ...]) -> tuple[IndexArray, IndexArray]:
+    """Return where the states of the INS stand, in the order of its errors, as rows and as columns."""
+    at = columns(layout, (*MOTION, *names))
+    return at[:, None], at[None, :]
 
 
 def predict(state: State, moved: Moved, epoch: Epoch, dt: float, options: GnssOptions) -> Prior:
@@ -49,84 +49,104 @@ def predict(state: State, moved: Moved, epoch: Epoch, dt: float, options: GnssOp
     F, Q = transition(state.layout, layout, dt, options.noise, rows)
     clock_walk(F, Q, dt, options.noise)
     mean = F @ state.mean
-    at = nav_places(layout, names)
-    F[np.ix_(at, at)], Q[np.ix_(at, at)] = moved.F[: len(at), : len(at)], moved.Q[: len(at), : len(at)]
+    at, n = _nav_places(layout, names), len(MOTION) + len(names)
+    F[at], Q[at] = moved.F[:n, :n], moved.Q[:n, :n]
     mean[:3], mean[3:6], mean[layout.block("att")] = moved.position_m, moved.velocity_mps, 0.0
     mean, F, Q, consumed, events = clocks(mean, F, Q, layout, state.layout, rows, mode)
     P = symmetric(sandwich(F, state.P) + Q)
-    after = State(epoch.t_ns, mean, P, layout, aside)
-    prior = Prior(after, F, Q, consumed, moved.events + events, rows)
-    lost = aside.refused_since_ns is not None and (epoch.t_ns - aside.refused_since_ns) * 1e-9 >= LOST_S
-    return (
-        begun(prior, f"re-acquisition: most pseudoranges were refused for {LOST_S:.0f} s") if lost else prior
-    )
+    prior = Prior(State(epoch.t_ns, mean, P, layout, aside), F, Q, consumed, moved.events + events, rows)
+    return _found_again(prior, options.ins.lost_s)
+
+
+def _found_again(prior: Prior, lost_s: float) -> Prior:
+    """Return the prior with position and velocity born anew, where most codes have been refused so long."""
+    since: int | None = prior.state.aside.refused_since_ns
+    if since is None or (prior.state.t_ns - since) * 1e-9 < lost_s:
+        return prior
+    return begun(prior, f"re-acquisition: most pseudoranges were refused for {lost_s:.0f} s")
 
 
 def correct(prior: Prior, epoch: Epoch, options: GnssOptions, exclude: frozenset[str]) -> Update:
     """Use the rows that pass the tests, but for those of the groups in `exclude`."""
-    code: Rows = prior.context
-    rate, noise = rate_rows(epoch, *antenna(prior.state), options), options.noise
-    rows = stack(prior, code, rate, noise.code_white_m * code.scale, noise.doppler_mps * rate.scale)
-    rows = replace(rows, H=_with_arm(prior.state, rows.H, len(code.keys)))
-    if standing(epoch.imu, prior.state, options.ins):
-        rows = rows.plus(zero_velocity(prior.state))
-    allowed = np.array([group_of(k) not in exclude for k in rows.keys], dtype=bool)
-    used, screening = screened(prior, rows, allowed, code.los, options.ins.fde == "ours")
+    rows = _rows(prior, epoch, options)
+    allowed = np.ones(len(rows.keys), dtype=bool)
+    if exclude:
+        allowed = np.array([group_of(k) not in exclude for k in rows.keys], dtype=bool)
+    limit = options.ins.limit_sigma if options.ins.fde == "ours" else np.inf
+    used, screening = screened(prior, rows, allowed, limit)
     shown = used | ~allowed  # rows of an excluded group are spare, to prove themselves
-    update = use(prior, rows.take(shown), used[shown]).altered(screening=screening)
+    update = use(prior, rows.take(shown), (used & allowed)[shown], screening=screening)
     since = _refused_since(prior, rows.keys, used & allowed, allowed)
+    if since == prior.state.aside.refused_since_ns:
+        return update
     return with_aside(update, update.posterior.aside.with_(refused_since_ns=since))
 
 
-def _with_arm(state: State, H: FloatArray, codes: int) -> FloatArray:
-    """Return the Jacobian with what attitude and gyroscope bias do to the antenna."""
+def _rows(prior: Prior, epoch: Epoch, options: GnssOptions) -> Stack:
+    """Return code and range-rate rows at the antenna, and behind them those of a standstill."""
+    code: Rows = prior.context
+    rate, noise = rate_rows(epoch, *antenna(prior.state), options), options.noise
+    rows = stack(prior, code, rate, noise.code_white_m * code.scale, noise.doppler_mps * rate.scale)
+    _write_arm(prior.state, rows.H, len(code.keys))
+    return rows.plus(zero_velocity(prior.state)) if standing(epoch.imu, prior.state, options.ins) else rows
+
+
+def _write_arm(state: State, H: FloatArray, codes: int) -> None:
+    """Write into a Jacobian what attitude and the gyroscopes' errors do to the antenna."""
     aside: Aside = state.aside
     if not aside.arm_m.any():
-        return H
-    H = H.copy()
-    arm, swing = aside.C @ aside.arm_m, aside.C @ np.cross(aside.rate_radps, aside.arm_m)
-    att, bias = state.layout.block("att"), state.layout.block("bg")
-    H[:codes, att] = -H[:codes, :3] @ skew(arm)
-    H[codes:, att] = -H[codes:, 3:6] @ skew(swing)
-    H[codes:, bias] = H[codes:, 3:6] @ aside.C @ skew(aside.arm_m)
-    return H
+        return
+    block, C, place, speed = state.layout.block, aside.C, H[:codes, :3], H[codes:, 3:6]
+    H[:codes, block("att")] = -place @ skew(C @ aside.arm_m)
+    H[codes:, block("att")] = -speed @ skew(C @ cross(aside.rate_radps, aside.arm_m))
+    swing = speed @ C @ skew(aside.arm_m)
+    H[codes:, block("bg")] = swing
+    if len(scale := block("sg")):
+        H[codes:, scale] = swing * aside.rate_radps
 
 
 def screened(
-    prior: Prior, rows: Stack, allowed: BoolArray, los: FloatArray, test: bool
+    prior: Prior, rows: Stack, allowed: BoolArray, limit_sigma: float
 ) -> tuple[BoolArray, Screening]:
-    """Return which rows to use, and the story of it."""
+    """Return which of the rows that are `allowed` to use, and the story of it."""
     at = np.flatnonzero(allowed)
-    codes = np.array([not is_rate(k) for k in rows.keys], dtype=bool)
-    before = allowed & codes
-    S = sandwich(rows.H[at], prior.state.P) + np.diag(rows.variance[at])
-    limit = LIMIT_SIGMA if test else np.inf
-    passes, first, last = leave_out(rows.nu[at], S, limit)
+    codes, clocks_ = _codes(rows.keys)
+    H = rows.H[at]
+    S = sandwich(H, prior.state.P) + np.diag(rows.variance[at])
+    passes, first, last = leave_out(rows.nu[at], S, limit_sigma)
     used = allowed.copy()
     used[at[passes > 0]] = False
-    dropped = sorted(
-        ((rows.keys[i], int(p)) for i, p in zip(at, passes, strict=True) if p), key=lambda d: d[1]
-    )
-    systems = np.array([system_of(k) for k, c in zip(rows.keys, codes, strict=True) if c])
-    dilution = [_pdop(los[kept[codes]], systems[kept[codes]]) for kept in (before, used)]
+    dropped = sorted(((rows.keys[at[i]], int(passes[i])) for i in np.flatnonzero(passes)), key=lambda d: d[1])
+    both = ((allowed & codes)[: len(clocks_)], (used & codes)[: len(clocks_)])
+    los, none = -rows.H[: len(clocks_), :3], "no row passes its test" if len(at) else "no satellite above the mask"
     return used, Screening(
-        "ours" if test else "none", first=first, first_limit=limit, last=last, last_limit=limit,
-        dropped=tuple(dropped), tests=1 + len(dropped),
-        satellites=(int(before.sum()), int((used & codes).sum())),
-        pdop=(dilution[0], dilution[1]), used=bool(used.any()),
-        reason="" if used.any() else "no row passes its test" if len(at) else "no satellite above the mask",
+        "ours" if np.isfinite(limit_sigma) else "none", first=first, first_limit=limit_sigma, last=last,
+        last_limit=limit_sigma, dropped=tuple(dropped), tests=1 + len(dropped),
+        satellites=(int(both[0].sum()), int(both[1].sum())),
+        pdop=(_pdop(los, clocks_, both[0]), _pdop(los, clocks_, both[1])), used=bool(used.any()),
+        reason="" if used.any() else none,
     )  # fmt: skip
 
 
-def _pdop(los: FloatArray, systems: npt.NDArray[np.str_]) -> float:
+@lru_cache(maxsize=512)
+def _codes(keys: tuple[str, ...]) -> tuple[BoolArray, FloatArray]:
+    """Return which rows are codes (the first ones), and which clock each of these reads."""
+    codes = np.array([not is_rate(k) for k in keys], dtype=bool)
+    systems = np.array([system_of(k) for k, c in zip(keys, codes, strict=True) if c], dtype="U1")
+    return codes, (systems[:, None] == np.unique(systems)).astype(np.float64)
+
+
+def _pdop(los: FloatArray, clocks_: FloatArray, kept: BoolArray) -> float:
     """Return the dilution of position with a clock a constellation, inf where there is none."""
-    clocks_ = systems[:, None] == np.unique(systems)
-    return pdop_of(np.hstack([-los, clocks_.astype(np.float64)])) if len(los) else float("inf")
+    if not kept.any():
+        return float("inf")
+    reads = clocks_[kept]
+    return pdop_of(np.hstack([-los[kept], reads[:, reads.any(axis=0)]]))
 
 
 def _refused_since(prior: Prior, keys: tuple[str, ...], used: BoolArray, allowed: BoolArray) -> int | None:
     """Return since when most codes have been refused; epochs with few tell nothing."""
-    codes = np.array([not is_rate(k) for k in keys], dtype=bool) & allowed
+    codes = _codes(keys)[0] & allowed
     before: int | None = prior.state.aside.refused_since_ns
     if codes.sum() < LOST_ROWS:
         return before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -102,6 +103,8 @@ class Stack:
 
     def take(self, rows: npt.NDArray[np.bool_]) -> Stack:
         """Return only some rows."""
+        if rows.all():
+            return self
         keys = tuple(k for k, r in zip(self.keys, rows, strict=True) if r)
         angles = {name: values[rows] for name, values in self.angles.items()}
         return Stack(keys, self.nu[rows], self.H[rows], self.variance[rows], angles)
@@ -120,14 +123,15 @@ def stack(
     return Stack(code.keys + rate.keys, nu, H, variance, angles)
 
 
-def use(prior: Prior, rows: Stack, used: npt.NDArray[np.bool_]) -> Update:
-    """Return the update of a prior with the rows `used`; the others become its spare rows."""
-    angles = {name: values[used] for name, values in rows.angles.items()}
+def use(prior: Prior, rows: Stack, used: npt.NDArray[np.bool_], **facts: Any) -> Update:
+    """Return the update of a prior with the rows `used`; the others become its spare rows. `facts` are
+    further fields of `Update`.
+    """
     reason = "" if used.any() else "no satellite above the mask"
-    keys = tuple(k for k, u in zip(rows.keys, used, strict=True) if u)
-    R = np.diag(rows.variance[used])
-    update = Update.of(prior, keys, rows.nu[used], rows.H[used], R, aux=angles, reason=reason)
-    if used.all():
+    some = rows.take(used)
+    facts = {"aux": some.angles, "reason": reason} | facts
+    update = Update.of(prior, some.keys, some.nu, some.H, np.diag(some.variance), **facts)
+    if len(some.keys) == len(rows.keys):
         return update
     spare = tuple(rows.keys[i] for i in np.flatnonzero(~used))
     return update.with_spares(spare, rows.nu[~used], rows.H[~used], rows.variance[~used])

@@ -45,7 +45,8 @@ DOWN = ("vd_mps", "vd", "down_velocity")
 
 def read_fixes(
     path: Path | str, *, origin_ns: int | None = None, sigma_floor_m: float = 0.0,
-    sigma_floor_mps: float = 0.0, notes: list[str] | None = None,
+    sigma_floor_mps: float = 0.0, velocity: bool = True, velocity_lag_s: float = 0.0,
+    notes: list[str] | None = None,
 ) -> tuple[Epoch, ...]:  # fmt: skip
     """Read the fixes of a receiver.
 
@@ -59,6 +60,11 @@ def read_fixes(
         GPS time of second 0 of bare seconds.
     sigma_floor_m, sigma_floor_mps : float
         Smaller standard deviations of positions and velocities, east, north or up, are raised to these.
+    velocity : bool
+        False: velocities of the file are not used.
+    velocity_lag_s : float
+        By how much velocities are late against their positions: a fix gets that of so much later, between the
+        two fixes around it, and none where these are more than twice the usual step apart.
     notes : list of str, optional
         Gets what was dropped, in words.
 
@@ -93,14 +99,31 @@ def read_fixes(
     numbers, track = numbers[good], tables._truth(numbers[good], t_ns[good], column, ())
     turn = enu_rotations(track.position_m)
     cov = _in_ecef(numbers, at["position"], turn, sigma_floor_m)
-    if track.velocity_mps is None or not at["velocity"]:
+    if not velocity:
+        told.append(f"{path.name}: velocities are not used, as asked for")
+    elif track.velocity_mps is None or not at["velocity"]:
         told.append(f"{path.name}: no velocities with standard deviations: positions alone are used")
+    if not velocity or track.velocity_mps is None or not at["velocity"]:
         return tuple(map(_epoch, track.t_ns.tolist(), track.position_m, cov))
     speed_cov = _in_ecef(numbers, at["velocity"], turn, sigma_floor_mps)
+    speed = track.velocity_mps if not velocity_lag_s else _later(track.t_ns, track.velocity_mps, velocity_lag_s)
     return tuple(
         _with_velocity(*row)
-        for row in zip(track.t_ns.tolist(), track.position_m, cov, track.velocity_mps, speed_cov, strict=True)
+        for row in zip(track.t_ns.tolist(), track.position_m, cov, speed, speed_cov, strict=True)
     )
+
+
+def _later(t_ns: npt.NDArray[np.int64], velocity: FloatArray, lag_s: float) -> FloatArray:
+    """Return the velocities that are stamped `lag_s` later, nan where no two fixes are around that time."""
+    at_s = (t_ns - t_ns[0]) * 1e-9
+    if len(at_s) < 2:
+        return np.full_like(velocity, np.nan)
+    wanted = at_s + lag_s
+    i = np.searchsorted(at_s, wanted).clip(1, len(at_s) - 1)
+    apart = at_s[i] - at_s[i - 1]
+    known = (wanted >= at_s[0]) & (wanted <= at_s[-1]) & (apart <= 2.0 * np.median(np.diff(at_s)))
+    share = ((wanted - at_s[i - 1]) / apart)[:, None]
+    return np.where(known[:, None], velocity[i - 1] + share * (velocity[i] - velocity[i - 1]), np.nan)
 
 
 def _as_known(

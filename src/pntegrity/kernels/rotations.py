@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from math import sin, sqrt
+
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
-__all__ = ["attitude_angles", "from_angles", "rotation", "rotvec_of", "skew"]
+__all__ = ["attitude_angles", "cross", "from_angles", "rotation", "rotvec_of", "skew"]
 
 #: Below this angle, rad, sine and cosine are replaced by their series.
 SMALL = 1e-4
@@ -15,7 +18,10 @@ SMALL = 1e-4
 
 def skew(v: npt.ArrayLike) -> FloatArray:
     """Return the matrices (..., 3, 3) of the cross product with vectors (..., 3): ``skew(a) @ b``."""
-    x, y, z = np.moveaxis(np.asarray(v, dtype=np.float64), -1, 0)
+    v = np.asarray(v, dtype=np.float64)
+    if v.ndim == 1:
+        return _skew_of(v)
+    x, y, z = np.moveaxis(v, -1, 0)
     zero = np.zeros_like(x)
     rows = [np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
     return np.stack(rows, axis=-2)
@@ -24,6 +30,8 @@ def skew(v: npt.ArrayLike) -> FloatArray:
 def rotation(rotvec: npt.ArrayLike) -> FloatArray:
     """Return the rotations (..., 3, 3) about vectors (..., 3) by their lengths in rad."""
     v = np.asarray(rotvec, dtype=np.float64)
+    if v.ndim == 1:
+        return _rotation_of(v)
     square = np.sum(v * v, axis=-1)[..., None, None]
     angle = np.sqrt(square)
     small = angle < SMALL
@@ -32,6 +40,37 @@ def rotation(rotvec: npt.ArrayLike) -> FloatArray:
     second = np.where(small, 0.5 - square / 24.0, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
     K = skew(v)
     return np.asarray(np.eye(3) + first * K + second * (K @ K))
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross product of two vectors (3,): `numpy.cross` in a twentieth of its time."""
+    return _cross_of(a, b)
+
+
+@njit(cache=True, nogil=True)
+def _cross_of(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@njit(cache=True, nogil=True)
+def _skew_of(v: FloatArray) -> FloatArray:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@njit(cache=True, nogil=True)
+def _rotation_of(v: FloatArray) -> FloatArray:
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    angle = sqrt(square)
+    if angle < SMALL:
+        first, second = 1.0 - square / 6.0, 0.5 - square / 24.0
+    else:
+        first, second = sin(angle) / angle, 2.0 * (sin(0.5 * angle) / angle) ** 2
+    x, y, z = v[0], v[1], v[2]
+    return np.array([
+        [1.0 - second * (y * y + z * z), second * x * y - first * z, second * x * z + first * y],
+        [second * x * y + first * z, 1.0 - second * (x * x + z * z), second * y * z - first * x],
+        [second * x * z - first * y, second * y * z + first * x, 1.0 - second * (x * x + y * y)],
+    ])  # fmt: skip
 
 
 def rotvec_of(C: npt.ArrayLike) -> FloatArray:

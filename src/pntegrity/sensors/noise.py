@@ -156,9 +156,9 @@ class NoiseModel:
         """Return how much larger than at the zenith the noise is: ``1/sin el``, and more below the reference
         C/N0.
         """
-        low = np.nan_to_num(self.cn0_ref_dbhz - cn0_dbhz, nan=0.0)
+        low = np.fmax(self.cn0_ref_dbhz - cn0_dbhz, 0.0)  # of nan and 0 this is 0
         low_sky = np.sin(np.maximum(el_rad, np.deg2rad(3.0))) ** self.elevation_power
-        return np.asarray(10.0 ** (np.maximum(low, 0.0) / 20.0) / low_sky)
+        return np.asarray(10.0 ** (low / 20.0) / low_sky)
 
     def obliquity(self, el_rad: FloatArray) -> FloatArray:
         """Return by how much the slow errors are larger than at the zenith."""
