@@ -9,13 +9,14 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 
-from gnss_logs import LinearFilter, log, navigation, only, options, with_imu, without
+from gnss_logs import PLACE, SECOND, START, LinearFilter, log, navigation, only, options, with_imu, without
 from pntegrity import estimators, monitors
 from pntegrity.estimators._ins_options import InsOptions
 from pntegrity.exclusion import Policy
 from pntegrity.pipeline import Outcome, Pipeline
 from pntegrity.protocols import Estimator, Monitor
-from pntegrity.records import Epoch, Update
+from pntegrity.records import Epoch, Observation, Update
+from pntegrity.sensors.fix import Fix
 from pntegrity.simulate.linear import Disturbance, linear_epochs, spp_model
 
 LINEAR = "linear"
@@ -47,7 +48,8 @@ class Source:
 
 @lru_cache(maxsize=8)
 def source(name: str) -> Source:
-    return linear_source() if name == LINEAR else gnss_source(name)
+    made = {LINEAR: linear_source, "multi_source": vessel_source}.get(name)
+    return gnss_source(name) if made is None else made()
 
 
 def gnss_source(name: str) -> Source:
@@ -90,6 +92,31 @@ def linear_source() -> Source:
     shown[75] = only(shown[75], [])
     shown[76] = only(shown[76], ["G01", "G02", "G03"])
     return Source(LinearFilter(model), tuple(shown))
+
+
+def vessel_source() -> Source:
+    """Four sources of fixes beside an IMU that stands: a jump, a ramp, two at once, silence, one that comes
+    late.
+    """
+    rng = np.random.default_rng(8)
+    names = ("alpha", "beta", "delta", "gamma")
+    sigma = np.repeat([0.5, 0.05], 3)
+    epochs = []
+    for k in range(95):
+        said = []
+        for name in names:
+            y = np.concatenate([PLACE, np.zeros(3)]) + sigma * rng.standard_normal(6)
+            jump = {"alpha": 12 <= k < 20 or 52 <= k < 58, "gamma": 52 <= k < 58}.get(name, False)
+            y[:3] += 20.0 * jump + (0.4 * (k - 30) if name == "beta" and 30 <= k < 48 else 0.0)
+            keys = tuple(f"{name}:{s}" for s in ("R.X", "R.Y", "R.Z", "D.X", "D.Y", "D.Z"))
+            given = slice(3 if name == "gamma" and k < 10 else 6)
+            if not (73 <= k < 77 or (name == "delta" and k < 8)):
+                cov = {"cov": np.diag(sigma**2)[given]}
+                said.append(Observation(name, START + k * SECOND, keys[given], y[given], aux=cov))
+        if k not in (82, 83, 84):
+            epochs.append(Epoch(START + k * SECOND, tuple(said)))
+    given = options(navigation(), ins=InsOptions(heading_rad=0.3), sources=tuple(Fix(n) for n in names))
+    return Source(estimators.discover()["multi_source"](given), with_imu(epochs))
 
 
 @lru_cache(maxsize=64)

@@ -16,6 +16,7 @@ from pntegrity.physics.tables import Klobuchar
 from pntegrity.records import Epoch, FloatArray, Observation
 from pntegrity.sensors.gnss import geometry, range_rate
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.source import Source
 
 #: Closer to the Earth's centre than this there is no local horizon and no atmosphere, m.
 SURFACE_M = 6.3e6
@@ -41,6 +42,8 @@ class GnssOptions:
         ``"velocity"`` or ``"static"``.
     ins : InsOptions
         The inertial side, where there is one.
+    sources : tuple of Source
+        What ``multi_source`` has beside the IMU.
     """
 
     noise: NoiseModel = field(default_factory=NoiseModel)
@@ -50,6 +53,7 @@ class GnssOptions:
     max_gap_s: float = 120.0
     motion: Literal["white", "walk", "velocity", "static"] = "white"
     ins: InsOptions = field(default_factory=InsOptions)
+    sources: tuple[Source, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,8 +91,9 @@ def _own(epoch: Epoch, place: FloatArray, speed: FloatArray) -> Measured:
     own = sensor(epoch, GROUP)
     if not len(own.keys):
         return Measured(reason="no fix")
-    expected = np.concatenate([place, speed])[[ORDER.index(k) for k in own.keys]]
-    return Measured(own.keys, own.y - expected, own.aux["cov"])
+    at = [ORDER.index(k) for k in own.keys]
+    expected = np.concatenate([place, speed])[at]
+    return Measured(own.keys, own.y - expected, own.aux["cov"][:, at])
 
 
 def _measured(

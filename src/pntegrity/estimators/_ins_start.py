@@ -14,6 +14,7 @@ from pntegrity.estimators._ins_alignment import Aligned, Alignment, aligned, fel
 from pntegrity.estimators._ins_solution import Aside, inertial_names
 from pntegrity.estimators._navigation import MOTION, start_prior
 from pntegrity.kernels.factor_set import FactorMemory
+from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.rotations import cross
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import Epoch, Inertial, Layout, Prior, State
@@ -108,7 +109,7 @@ def _with_attitude(
     mean[:3], mean[3:6], mean[layout.block("bg")] = fix.position_m - C @ arm, velocity, found.gyro_bias_radps
     P[:6, :6] = np.diag(np.repeat([START_M, START_MPS], 3) ** 2)
     at = layout.block("att")
-    P[np.ix_(at, at)] = to_ecef @ np.diag(found.sigma_rad**2) @ to_ecef.T
+    P[np.ix_(at, at)] = symmetric(to_ecef @ np.diag(found.sigma_rad**2) @ to_ecef.T)
     sigma = options.ins.spec.start_sigma()
     sigma[:3] = found.gyro_sigma_radps
     for k, kind in enumerate(("bg", "ba", "sg", "sa")):

@@ -85,8 +85,9 @@ class SourceRows:
     nu : ndarray, shape (m,)
         Measured minus predicted.
     H : mapping of str to ndarray
-        Jacobian by block of states: ``"pos"``, ``"vel"``, ``"att"``, ``"bg"`` (m, 3), and each of the source's
-        own states (m, 1). Attitude errors are small turns in ECEF axes: ``C_true = (I + [phi x]) C``.
+        Jacobian by block of states: ``"pos"``, ``"vel"``, ``"att"``, ``"bg"`` (m, 3), and each of the
+        source's own states (m, 1). Attitude errors are small turns in ECEF axes: ``C_true = (I + [phi x])
+        C``.
     R : ndarray, shape (m, m)
     reason : str
         Why there are none, or fewer than measured.
