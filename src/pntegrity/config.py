@@ -105,7 +105,11 @@ class RunConfig(InertialConfig):
             return values
         name = str(values.get("estimator", "spp_kf"))
         known = discover_estimators().get(name)
-        return values if known is None else {**values, "monitors": usual_monitors(name, values) or known.monitors}
+        return (
+            values
+            if known is None
+            else {**values, "monitors": usual_monitors(name, values) or known.monitors}
+        )
 
     @field_validator("monitors")
     @classmethod

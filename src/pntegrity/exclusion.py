@@ -1,29 +1,24 @@
-"""Who is left out, and when they may come back: the decisions between a verdict and the next filter step."""
+"""Who is left out: the decisions between a verdict and the next filter step."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pntegrity.kernels.linear import whiten
-from pntegrity.kernels.signatures import is_carrier, is_rate
+from pntegrity.kernels.signatures import is_rate
 from pntegrity.kernels.subsets import search
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.records import FloatArray, Suspect, Update, Verdict, group_of
-from pntegrity.states import ANEW, is_left_out
 from pntegrity.verdicts import SEPARATION
 
 #: First parts of the names of the states that all rows of an epoch share.
 COMMON = ("pos", "vel", "clk", "drift")
 #: Twice the log-likelihood by which one explanation must beat another to be preferred.
 MARGIN = 9.0
-#: Share of what was learnt of a fault's persistence that is kept from epoch to epoch.
-FORGETTING = 0.9
-#: A group whose residuals are this many standard deviations off is at fault.
-CONFIRMED = 5.0
 TOO_FEW = "too few measurements would be left"
 
 __all__ = [
@@ -34,8 +29,7 @@ __all__ = [
     "Standing",
     "decide",
     "dynamics_failed",
-    "left_out",
-    "review",
+    "levels",
 ]
 
 
@@ -67,6 +61,12 @@ class Policy:
         How many epochs back a repair can go.
     restart_s, restart_epochs : float, int
         The filter starts anew after this long an alert, and this many epochs, that nothing could resolve.
+    trust_prior : bool
+        True: rows that contradict the prior are at fault, also where all of them agree with each other: the
+        prior is that of an inertial unit, whose errors are known, and not of a guess how the receiver moves.
+    reacquire_s : float
+        With `trust_prior`: a group without which nothing was measured returns after this long, whatever its
+        residuals, and position and velocity start anew at it; the prior is then not trusted for `forget_s`.
     """
 
     exclude: bool = True
@@ -81,6 +81,8 @@ class Policy:
     history: int = 80
     restart_s: float = 30.0
     restart_epochs: int = 30
+    trust_prior: bool = False
+    reacquire_s: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -161,9 +163,12 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     left out. An abrupt fault is found in this epoch's innovations by the smallest consistent subset. Where
     these are consistent, or a windowed monitor dates the fault before this epoch, its first suspect is
     followed back to its onset. The suspects of a monitor that carries subfilters come first: one whose own
-    subfilter passes its tests, else the smallest consistent subset, else the best of them.
+    subfilter passes its tests, else the smallest consistent subset, else the best of them. Where the policy
+    trusts the prior, the only group of an epoch can be at fault as well.
     """
-    if dynamics_failed(update, policy.p_fa):
+    if policy.trust_prior and len(update.groups()) == 1:
+        return _from_prior(update, verdicts, policy, previous_ns)
+    if not policy.trust_prior and dynamics_failed(update, policy.p_fa):
         return Decision(relax=True)
     carried = next((v for v in verdicts if v.status == "alert" and _is_separation(v)), None)
     if carried is not None:
@@ -175,6 +180,24 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     if found.exclusions or windowed is None:
         return found
     return _from_suspect(update, *windowed, policy)
+
+
+def _from_prior(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous_ns: int) -> Decision:
+    """Return the exclusion of the only group of an epoch: since the onset that a windowed monitor names, else
+    now.
+    """
+    (group,) = update.groups()
+    windowed = _windowed_suspect(verdicts)
+    rows = _row_biases(update, group)
+    if windowed is not None and _is_old(windowed[1], update.t_ns, previous_ns):
+        found = _from_suspect(update, *windowed, policy)
+        return replace(found, exclusions=tuple(replace(e, rows=rows) for e in found.exclusions))
+    verdict = max((v for v in verdicts if v.status == "alert"), key=lambda v: v.statistic / v.threshold)
+    size = _sizes(update, [update.groups()[group]])[0]
+    only = Exclusion(
+        update.t_ns, group, verdict.monitor, verdict.statistic, size, "bias", update.t_ns, rows=rows
+    )
+    return Decision((only,), update.t_ns)
 
 
 def _is_separation(verdict: Verdict) -> bool:
@@ -220,7 +243,8 @@ def dynamics_failed(update: Update, p_fa: float, block: tuple[str, ...] = COMMON
     return not single.passed or free > single.explained + MARGIN
 
 
-def _levels(keys: Iterable[str]) -> int:
+def levels(keys: Iterable[str]) -> int:
+    """Return how many rows measure levels, not rates."""
     return sum(not is_rate(k) for k in keys)
 
 
@@ -243,9 +267,9 @@ def _windowed_suspect(verdicts: Sequence[Verdict]) -> tuple[Verdict, Suspect] | 
 
 def _from_suspect(update: Update, verdict: Verdict, suspect: Suspect, policy: Policy) -> Decision:
     remaining = [k for k in update.keys if group_of(k) not in suspect.groups]
-    if 2 * len(remaining) < len(update.keys):
+    if 2 * len(remaining) < len(update.keys) and not policy.trust_prior:
         return Decision(reason="the fault is common to most measurements: nothing can be left out")
-    if _levels(remaining) < policy.keep_rows:
+    if levels(remaining) < policy.keep_rows:
         return Decision(reason=TOO_FEW)
     exclusions = tuple(
         Exclusion(
@@ -270,7 +294,7 @@ def _from_subsets(update: Update, policy: Policy) -> Decision:
     if not result.removed:
         return Decision(reason="" if result.passed else "no subset of the measurements is consistent")
     removed = {names[g] for g in result.removed}
-    if _levels(k for k in update.keys if group_of(k) not in removed) < policy.keep_rows:
+    if levels(k for k in update.keys if group_of(k) not in removed) < policy.keep_rows:
         return Decision(reason=TOO_FEW)
     sizes = _sizes(update, [groups[names[g]] for g in result.removed])
     exclusions = tuple(
@@ -312,75 +336,3 @@ def _sizes(update: Update, rows: list[npt.NDArray[np.intp]]) -> list[float]:
     return [
         float(bias[e - len(r) + int(size[e - len(r) : e].argmax())]) for r, e in zip(rows, ends, strict=True)
     ]
-
-
-def review(
-    standing: dict[str, Standing],
-    update: Update,
-    present: frozenset[str],
-    policy: Policy,
-    step_s: float = 0.0,
-) -> dict[str, Standing]:
-    """Return the exclusions that go on after an update: groups that proved themselves, or are long gone, drop
-    out.
-
-    `step_s` is the time since the epoch before.
-    """
-    out = {}
-    for group, s in standing.items():
-        now = _reviewed(s, update, group, group in present, policy, step_s)
-        if now is not None:
-            out[group] = now
-    return out
-
-
-def left_out(standing: Mapping[str, Standing]) -> frozenset[str]:
-    """Return what an estimator is told to leave out: groups, and those whose ambiguities begin anew."""
-    return frozenset(standing) | {g + ANEW for g, s in standing.items() if s.anew}
-
-
-def _spare_rows(update: Update, group: str) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return which rows left out are those of a group, products about it included, and which of them are no
-    carriers.
-    """
-    out = frozenset([group])
-    rows = [i for i, key in enumerate(update.spare_keys) if is_left_out(key, out)]
-    levels = [i for i in rows if not is_carrier(update.spare_keys[i])]
-    return np.array(rows, dtype=np.intp), np.array(levels, dtype=np.intp)
-
-
-def _reviewed(
-    s: Standing, update: Update, group: str, present: bool, policy: Policy, step_s: float
-) -> Standing | None:
-    t_ns, (rows, levels) = update.t_ns, _spare_rows(update, group)
-    if not len(rows):
-        gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
-        seen_ns = t_ns if present else s.seen_ns
-        return None if gone else replace(s, clean_ns=None, level_ns=None, anew=False, seen_ns=seen_ns)
-    gain = _gain(s, update, levels)
-    whole = update.misfit(rows)
-    level = update.misfit(levels) if 0 < len(levels) < len(rows) else whole
-    s = replace(s, doubtful=s.doubtful and whole <= CONFIRMED)
-    needed = max(policy.proof_s, policy.proof_epochs * step_s) * 2.0 ** (min(s.times, 5) - 1)
-    since = s.level_ns if s.level_ns is not None else t_ns
-    level_ns = since if level <= policy.proof_sigma else None
-    if whole > policy.proof_sigma:
-        anew = level_ns is not None and (t_ns - level_ns) * 1e-9 >= needed and gain <= 0.0
-        level_ns = None if anew else level_ns
-        return replace(s, seen_ns=t_ns, clean_ns=None, level_ns=level_ns, anew=anew, gain=gain)
-    clean = t_ns if s.clean_ns is None else s.clean_ns
-    if (t_ns - clean) * 1e-9 >= needed and gain <= 0.0:
-        return None
-    return replace(s, seen_ns=t_ns, clean_ns=clean, level_ns=level_ns, anew=False, gain=gain)
-
-
-def _gain(s: Standing, update: Update, rows: npt.NDArray[np.intp]) -> float:
-    """Return by how much the residuals of rows favour the fault as it was to none, summed over the last
-    epochs.
-    """
-    size = dict(s.rows)
-    fault = np.array([size.get(update.spare_keys[i], 0.0) for i in rows])
-    if not fault.any():
-        return 0.0
-    now = update.misfit_square(rows) - update.misfit_square(rows, fault)
-    return FORGETTING * s.gain + now

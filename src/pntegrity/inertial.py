@@ -28,13 +28,22 @@ from pntegrity.records import Epoch, FloatArray, Inertial, Observation
 from pntegrity.sensors.imu_spec import read_imu_spec
 from pntegrity.sensors.increments import with_increments
 
-__all__ = ["InertialConfig", "estimate_lag", "fixes_of", "read_factors", "usual_monitors", "with_course", "with_imu"]
+__all__ = [
+    "InertialConfig",
+    "estimate_lag",
+    "fixes_of",
+    "read_factors",
+    "usual_monitors",
+    "with_course",
+    "with_imu",
+]
 
 ESTIMATOR = "gnss_ins"
 #: What only this estimator uses; a value that is none of these says that it is wanted.
 UNUSED: dict[str, tuple[Any, ...]] = {
     "imu": (None,), "fixes": (None,), "factors": (None,), "heading_deg": (None,), "coupling": (None,),
-    "zupt": (False,), "lever_arm_m": ((0.0, 0.0, 0.0),), "fix_velocity": (True,), "fix_velocity_lag_s": (0.0,),
+    "zupt": (False,), "lever_arm_m": ((0.0, 0.0, 0.0),), "fix_velocity": (True,),
+    "fix_velocity_lag_s": (0.0,),
 }  # fmt: skip
 #: A lag is believed where this much of the accelerations is explained, and its standard deviation is at most
 #: this, s; lags are looked for up to `MOST_LAG_S`.

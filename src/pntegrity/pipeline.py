@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide, left_out, review
+from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide
 from pntegrity.protocols import Estimator, Monitor, Switching, memory_for
+from pntegrity.readmission import distrusting, left_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, group_of, join_reasons
 
 #: A blunder larger than this moves a start so far that its linearisation blames others too, m.
@@ -36,7 +37,7 @@ class Past:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """All that a pipeline remembers."""
+    """All that a pipeline remembers; `reacquired_ns`: when a group came back that had not proved itself."""
 
     state: State = field(default_factory=State.empty)
     memories: tuple[Any, ...] = ()
@@ -44,6 +45,7 @@ class Checkpoint:
     standing: Mapping[str, Standing] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
     alert_since_ns: int | None = None
+    reacquired_ns: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +135,7 @@ class Pipeline:
         now = self.checkpoint
         if now.state.t_ns and epoch.t_ns <= now.state.t_ns:
             raise ValueError(f"epoch at {epoch.t_ns} ns is not after the last one at {now.state.t_ns} ns")
-        first = self._attempt(now, epoch, {})
+        first = self._attempt(now, epoch, {}, _is_reacquired(now))
         last, exclusions, reason = self._resolve(now, epoch, first)
         kept = {g: s for g, s in now.standing.items() if g in last.excluded}
         outcome, self.checkpoint = self._commit(
@@ -148,10 +150,10 @@ class Pipeline:
         """Exclude until no monitor alarms, nothing more can be left out, or the limit is reached."""
         made: tuple[Exclusion, ...] = ()
         reasons: list[str] = []
-        relaxed = False
+        relaxed, policy = _is_reacquired(now), distrusting(self.policy, now.reacquired_ns, epoch.t_ns)
         previous_ns = now.state.t_ns if len(now.state) else epoch.t_ns
         while self.policy.exclude and _alert(attempt.verdicts) and len(made) < self.policy.most:
-            decision = decide(attempt.updates[-1], attempt.verdicts, self.policy, previous_ns)
+            decision = decide(attempt.updates[-1], attempt.verdicts, policy, previous_ns)
             if decision.relax and not relaxed:
                 relaxed = True
                 since = {e.group: e.onset_ns for e in made}
@@ -260,6 +262,8 @@ class Pipeline:
         present = frozenset(group_of(k) for o in epoch.observations for k in o.keys)
         step_s = _step_s(now, epoch.t_ns)
         after = review(standing, update, present, self.policy, step_s)
+        back = reacquired(after, update, self.policy)
+        after = {g: s for g, s in after.items() if g not in back}
         readmitted = tuple(g for g in standing if g not in after)
         alert = _alert(last.verdicts) or bool(reason)
         doubt = [g for g, s in after.items() if s.doubtful]
@@ -274,6 +278,7 @@ class Pipeline:
             {} if stuck else after,
             counts,
             None if stuck else since,
+            epoch.t_ns if back else now.reacquired_ns,
         )
         if stuck:
             reason = join_reasons(
@@ -303,6 +308,11 @@ def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
     if out <= policy.most_excluded * total:
         return ""
     return f"{out} of {total} would be left out: the model does not fit the data, all are kept"
+
+
+def _is_reacquired(now: Checkpoint) -> bool:
+    """Tell whether the next epoch begins with a group that came back without having proved itself."""
+    return now.reacquired_ns is not None and now.reacquired_ns == now.state.t_ns
 
 
 def _repair_is_due(now: Checkpoint, epoch: Epoch) -> bool:

@@ -18,8 +18,9 @@ class Estimator(Protocol):
     An estimator that a run can choose by name also says what suits it: ``default_noise``, the noise model it
     starts from; ``max_gap_s``, after which it starts anew; ``bands``, which rows it takes; ``monitors``,
     those of a run that names none, and ``monitoring``, their options by name; ``policy``, fields of the
-    exclusion policy; ``surroundings``, for the usual integrity support message; ``fitted``, ``settle_s`` and ``clip_sigma``, what a calibration may vary, after how long
-    it looks, and the size beyond which innovations count linearly (cycle slips that nobody saw).
+    exclusion policy; ``surroundings``, for the usual integrity support message; ``fitted``, ``settle_s`` and
+    ``clip_sigma``, what a calibration may vary, after how long it looks, and the size beyond which
+    innovations count linearly (cycle slips that nobody saw).
     """
 
     def predict(self, state: State, epoch: Epoch) -> Prior:

@@ -23,7 +23,7 @@ SEPARATION = "separation"
 @dataclass(frozen=True)
 class Suspect:
     """Who may be at fault, and how: `kind` ``"bias"`` (size in units of the row) or ``"ramp"`` (units per
-    second).
+    second). `sensors`: which of the sensors of the first group (``"AP1"`` of ``"lbl:R.AP1"``), where known.
     """
 
     groups: tuple[str, ...]
@@ -31,6 +31,7 @@ class Suspect:
     size: float
     onset_ns: int
     statistic: float
+    sensors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -214,6 +214,14 @@ def test_fixes_instead_of_observations(pnt, imu, tmp_path, files):
     given = ("run", "--estimator", "gnss_ins", "--heading-deg", "30", "--imu", imu(), "--out", out)
     fixes = fix_table(tmp_path)
     assert pnt(*given, "--fixes", fixes).code == 0
+    config = (out / "config.toml").read_text()
+    assert 'monitors = ["rctm", "srctm", "aime", "sraime", "glr"]' in config
+    assert pnt(*given, "--fixes", fixes, "--fix-velocity-lag-s", "0.1", "--monitors", "rctm").code == 0
+    config = (out / "config.toml").read_text()
+    assert "fix_velocity_lag_s = 0.1" in config
+    assert 'monitors = ["rctm"]' in config
+    assert pnt(*given, "--fixes", fixes, "--no-fix-velocity").code == 0
+    assert pnt(*given, "--fixes", fixes, "--fix-velocity-lag-s", "9").refused("fix_velocity_lag_s")
     assert pnt(*given, "--fixes", fixes, "--start", "10", "--end", "30", "--fix-floor-m", "2").code == 0
     assert json.loads((out / "summary.json").read_text())["epochs"] == 21
     assert pnt(*given, "--fixes", fixes, "--start", "1000").refused("--start")
@@ -222,4 +230,7 @@ def test_fixes_instead_of_observations(pnt, imu, tmp_path, files):
     assert pnt(*given, "--fixes", fixes, "--fde", "lsr").refused("pseudoranges")
     assert pnt(*given, "--fixes", tmp_path / "no.pos").refused("no.pos", "no such file")
     assert pnt("run", "--fixes", fixes, "--out", out).refused("`fixes`", "gnss_ins")
+    assert pnt("run", "--obs", files.obs, "--nav", files.nav, "--no-fix-velocity", "--out", out).refused(
+        "`fix_velocity`", "gnss_ins"
+    )
     assert pnt(*given).refused("no obs file")

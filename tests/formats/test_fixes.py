@@ -118,3 +118,33 @@ def test_real_fixes_are_the_trajectory_of_the_same_file(shared):
     np.testing.assert_allclose([e.observations[0].y[:3] for e in epochs], track.position_m)
     np.testing.assert_allclose([e.observations[0].y[3:] for e in epochs], track.velocity_mps)
     assert np.median([e.observations[0].sigma[0] for e in epochs]) == pytest.approx(0.0099, abs=2e-4)
+
+
+def track_of(n=6):
+    """Speeding up towards north by 0.4 m/s a step of 0.25 s, at 1 m/s at first."""
+    line = "{t:.2f}," + PLACE.replace(" ", ",") + ",{v:.3f},0,0,0.02,0.02,0.02,0.04,0.04,0.04\n"
+    return CSV_HEAD + "".join(line.format(t=0.25 * k, v=1.0 + 0.4 * k) for k in range(n))
+
+
+def test_late_velocities_are_taken_from_between_later_fixes(fixes):
+    epochs = fixes(track_of(), "run.csv", origin_ns=T0, velocity_lag_s=0.125)
+    *first, last = [e.observations[0] for e in epochs]
+    C = enu_rotation(XYZ)
+    north = [float((C @ fix.y[3:])[1]) for fix in first]
+    np.testing.assert_allclose(north, [1.2 + 0.4 * k for k in range(5)], atol=1e-9)
+    # the last has no later one to look at
+    assert last.keys == POSITION_KEYS
+
+
+def test_late_velocities_are_not_taken_across_a_gap(fixes):
+    lines = track_of(9).splitlines(keepends=True)
+    epochs = fixes("".join(lines[:5] + lines[8:]), "run.csv", origin_ns=T0, velocity_lag_s=0.125)
+    known = [len(e.observations[0].keys) == 6 for e in epochs]
+    assert known == [True, True, True, False, True, False]
+
+
+def test_velocities_can_be_left(fixes):
+    notes: list[str] = []
+    epochs = fixes(track_of(), "run.csv", origin_ns=T0, velocity=False, notes=notes)
+    assert {e.observations[0].keys for e in epochs} == {POSITION_KEYS}
+    assert any("not used" in n for n in notes)

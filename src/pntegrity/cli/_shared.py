@@ -132,7 +132,7 @@ MONITORING = [
     click.option(
         "--monitors",
         help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels), factor_set.  "
-        "[the first five; ppp_rtk: separation; gnss_ins: factor_set and separation, with --fixes the first five]",
+        "[the first five, also with --fixes; ppp_rtk: separation; gnss_ins: factor_set, separation]",
     ),
     click.option(
         "--ism",

@@ -12,6 +12,9 @@ NAMES = (
     "rtk-cases", "rtk-risk", "ppp-rtk",
     "rtk-speed",
     "rtk-opec", "rtk-opec-faults", "rtk-clas", "rtk-clas-ramp",
+    "factor-set-rate", "city-thresholds", "city-moderate", "city-full", "city-low-cost", "city-open",
+    "city-tst", "city-levels", "city-nees", "ins-real", "mechanisation", "ins-speed",
+    "acoustics", "multi-level",
 )  # fmt: skip
 
 

@@ -19,12 +19,11 @@ from pntegrity.estimators._gnss import (
     without,
 )
 from pntegrity.estimators._ins_motion import Moved
-from pntegrity.estimators._ins_solution import Aside, antenna, with_aside
+from pntegrity.estimators._ins_solution import antenna, arm_slopes, with_aside
 from pntegrity.estimators._ins_still import standing, zero_velocity
 from pntegrity.kernels.factor_set import screen_factor_set
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.lsr import screen_lsr, screen_none
-from pntegrity.kernels.rotations import cross, skew
 from pntegrity.kernels.snapshot_fix import Fix, Pseudoranges
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.physics.frames import enu_rotation
@@ -107,8 +106,9 @@ def _measured(
     velocity = velocity_of(rate, options.noise.doppler_mps)
     if velocity is None:
         return Measured(ORDER[:3], fix.offset_m, fix.cov)
-    nu = np.concatenate([fix.offset_m, velocity[0] - speed])
-    return Measured(ORDER, nu, block_diag(fix.cov, velocity[2]))
+    nu, cov = np.concatenate([fix.offset_m, velocity[0] - speed]), np.zeros((6, 6))
+    cov[:3, :3], cov[3:, 3:] = fix.cov, velocity[2]
+    return Measured(ORDER, nu, cov)
 
 
 def _use(
@@ -123,16 +123,18 @@ def _use(
         keys, nu, H = keys + still.keys, np.concatenate([nu, still.nu]), np.vstack([H, still.H])
         R = block_diag(R, np.diag(still.variance))
     update = Update.of(prior, keys, nu, H, R, reason="" if keys else used.reason)
-    spare = _jacobian(prior.state, found.keys)
-    return update.with_spares(found.keys, found.nu, spare, found.cov) if out else update
+    if not out:
+        return update
+    return update.with_spares(found.keys, found.nu, _jacobian(prior.state, found.keys), found.cov)
 
 
 def _jacobian(state: State, keys: tuple[str, ...]) -> FloatArray:
     """Return how rows of the antenna's position and velocity depend on the states, shape (len(keys), n)."""
-    aside: Aside = state.aside
-    H = np.zeros((6, len(state)))
+    H, block = np.zeros((6, len(state))), state.layout.block
     H[range(6), range(6)] = 1.0
-    H[:3, state.layout.block("att")] = -skew(aside.C @ aside.arm_m)
-    H[3:, state.layout.block("att")] = -skew(aside.C @ cross(aside.rate_radps, aside.arm_m))
-    H[3:, state.layout.block("bg")] = aside.C @ skew(aside.arm_m)
+    slopes = arm_slopes(state.aside)
+    H[:3, block("att")] = slopes[0]
+    for kind, slope in zip(("att", "bg", "sg"), slopes[1:], strict=True):
+        if len(at := block(kind)):
+            H[3:, at] = slope
     return H[[ORDER.index(k) for k in keys]]

@@ -12,10 +12,13 @@ from pntegrity.kernels.strapdown import mechanise
 from pntegrity.records import FloatArray, Inertial, State
 from pntegrity.sensors.gnss import EARTH_RATE_RADPS
 
-__all__ = ["Moved", "advance"]
+__all__ = ["Moved", "advance", "is_lost"]
 
-#: What a vehicle may do while its IMU says nothing: white acceleration and turning, m/s^1.5 and rad/sqrt(s).
-UNSEEN_ACCEL, UNSEEN_TURN = 3.0, 0.3
+#: What a vehicle may do while its IMU says nothing: white acceleration (m/s^1.5), turning about the vertical
+#: and tilting (rad/sqrt(s)).
+UNSEEN_ACCEL, UNSEEN_TURN, UNSEEN_TILT = 3.0, 0.3, 0.02
+#: With a larger standard deviation the attitude is not worth keeping where there is a course, rad.
+LOST_RAD = 0.6
 #: Durations that differ by less than this are equal, s.
 SAME_S = 1e-6
 
@@ -72,9 +75,17 @@ def _bridged(moved: Moved, missing_s: float, reason: str) -> Moved:
     Q[i, i] = UNSEEN_ACCEL**2 * missing_s**3 / 3.0
     Q[i, i + 3] = Q[i + 3, i] = UNSEEN_ACCEL**2 * missing_s**2 / 2.0
     Q[i + 3, i + 3] = UNSEEN_ACCEL**2 * missing_s
-    Q[i + 6, i + 6] = UNSEEN_TURN**2 * missing_s
+    up = moved.position_m / np.linalg.norm(moved.position_m)
+    about_up = np.outer(up, up)
+    Q[6:9, 6:9] = missing_s * (UNSEEN_TILT**2 * (np.eye(3) - about_up) + UNSEEN_TURN**2 * about_up)
     event = reason or f"no inertial data for {missing_s:.2f} s: bridged with constant velocity"
     return Moved(
         moved.position_m + missing_s * moved.velocity_mps, moved.velocity_mps, moved.C, moved.rate_radps,
         F @ moved.F, F @ moved.Q @ F.T + Q, (event,),
     )  # fmt: skip
+
+
+def is_lost(state: State, moved: Moved) -> bool:
+    """Tell whether increments were missing for so long that what is known of the attitude helps no more."""
+    at = state.layout.block("att")
+    return float(np.sum(state.P[at, at]) + np.trace(moved.Q[6:9, 6:9])) > LOST_RAD**2

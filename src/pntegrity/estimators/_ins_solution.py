@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pntegrity.kernels.factor_set import FactorMemory
-from pntegrity.kernels.rotations import attitude_angles, cross, rotation
+from pntegrity.kernels.rotations import attitude_angles, cross, rotation, skew
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import FloatArray, State, Update
 from pntegrity.states import freeze
 
 __all__ = [
-    "Aside", "InsSolution", "antenna", "antenna_of", "attitude_now", "inertial_names", "mean_of",
-    "solution_of", "with_aside",
+    "Aside", "InsSolution", "antenna", "antenna_of", "arm_slopes", "attitude_now", "inertial_names",
+    "mean_of", "solution_of", "with_aside",
 ]  # fmt: skip
 
 AXES = ("x", "y", "z")
@@ -81,6 +81,15 @@ def antenna_of(
 def antenna(prior: State) -> tuple[FloatArray, FloatArray]:
     """Return position and velocity of the antenna at a prior, whose attitude is that beside it."""
     return antenna_of(prior.mean[:3], prior.mean[3:6], prior.aside)
+
+
+def arm_slopes(aside: Aside) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return how the lever arm moves the antenna: its position with the attitude, its velocity with attitude,
+    gyroscope bias and gyroscope scale, shapes (3, 3).
+    """
+    C, arm, rate = aside.C, aside.arm_m, aside.rate_radps
+    swing = C @ skew(arm)
+    return -skew(C @ arm), -skew(C @ cross(rate, arm)), swing, swing * rate
 
 
 def with_aside(update: Update, aside: Aside) -> Update:

@@ -7,22 +7,30 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
+from pntegrity.estimators._errors import KINDS, stationary
 from pntegrity.estimators._filter import mode
 from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, snapshot, system_of
-from pntegrity.estimators._ins_alignment import Aligned, Alignment, aligned, felt
+from pntegrity.estimators._ins_alignment import Aligned, Alignment, Velocity, aligned, felt, heading_of
 from pntegrity.estimators._ins_solution import Aside, inertial_names
 from pntegrity.estimators._navigation import MOTION, start_prior
 from pntegrity.kernels.factor_set import FactorMemory
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.rotations import cross
 from pntegrity.physics.frames import enu_rotation
-from pntegrity.records import Epoch, Inertial, Layout, Prior, State
+from pntegrity.records import Epoch, FloatArray, Inertial, Layout, Prior, State
+from pntegrity.sensors.noise import NoiseModel
 
-__all__ = ["align", "begun"]
+__all__ = ["align", "begun", "found_anew"]
 
 #: Standard deviations of a start and of a re-acquisition: position, velocity, clock and its drift.
 START_M, START_MPS, CLOCK_M, DRIFT_MPS = 100.0, 10.0, 1000.0, 100.0
+#: The same of a velocity that nothing tells, m/s.
+ANY_MPS = 30.0
+#: Without range rates the course is that between fixes: how far off one may be, m; how long between them, s;
+#: how far the vehicle may have turned meanwhile, rad.
+FIX_M, TRAVEL_S, RENEW_S, TURNED_RAD = 5.0, 4.0, 8.0, 0.2
 NO_IMU = "no inertial data at this epoch"
 
 
@@ -40,24 +48,48 @@ def align(state: State, epoch: Epoch, options: GnssOptions, events: tuple[str, .
     n_old : int
         States before.
     """
-    known: Alignment | None = state.aside if isinstance(state.aside, Alignment) else None
+    known = state.aside if isinstance(state.aside, Alignment) else Alignment()
     if epoch.imu is None or not len(epoch.imu.dt_s):
         return _waiting(epoch, known, n_old, (*events, NO_IMU))
     fix = _fix(epoch, options)
-    speed = float("nan") if fix.velocity_mps is None else float(np.linalg.norm(fix.velocity_mps))
-    known = felt(known, epoch.imu, speed)
+    velocity = _velocity(fix)
+    known = felt(known, epoch.imu, velocity, options.ins.spec)
     if fix.reason:
         return _waiting(epoch, known, n_old, (*events, fix.reason))
-    to_enu = enu_rotation(fix.position_m)
-    velocity = None if fix.velocity_mps is None else to_enu @ fix.velocity_mps
-    sigma = float("inf") if fix.velocity_cov is None else float(np.sqrt(np.trace(fix.velocity_cov) / 3.0))
-    found = aligned(known, options.ins, velocity, sigma)
+    if velocity is None:
+        velocity, known = _travel(fix, known, epoch.t_ns)
+    found = aligned(known, options.ins, velocity)
     if isinstance(found, str):
         return _waiting(epoch, known, n_old, (*events, found))
+    if velocity is not None and fix.velocity_mps is None:
+        fix = replace(fix, velocity_mps=enu_rotation(fix.position_m).T @ velocity.enu_mps)
     return _started(fix, found, epoch, options, n_old, (*events, "start"))
 
 
-def _waiting(epoch: Epoch, known: Alignment | None, n_old: int, events: tuple[str, ...]) -> Prior:
+def _velocity(fix: Fix) -> Velocity | None:
+    if fix.velocity_mps is None or fix.velocity_cov is None:
+        return None
+    sigma = float(np.sqrt(np.trace(fix.velocity_cov) / 3.0))
+    return Velocity(enu_rotation(fix.position_m) @ fix.velocity_mps, sigma)
+
+
+def _travel(fix: Fix, known: Alignment, t_ns: int) -> tuple[Velocity | None, Alignment]:
+    """Return the mean velocity since a fix some seconds ago, where the vehicle went straight on."""
+    heading = heading_of(known)
+    anew = replace(known, anchor=(t_ns, fix.position_m, heading))
+    if known.anchor is None:
+        return None, anew
+    since_ns, place, before = known.anchor
+    dt = (t_ns - since_ns) * 1e-9
+    turned = abs((heading - before + np.pi) % (2.0 * np.pi) - np.pi)
+    if dt < TRAVEL_S and turned < TURNED_RAD:
+        return None, known
+    travel = enu_rotation(fix.position_m) @ (fix.position_m - place) / dt
+    velocity = Velocity(travel, np.sqrt(2.0) * FIX_M / dt, turned)
+    return velocity if turned < TURNED_RAD else None, known if turned < TURNED_RAD and dt < RENEW_S else anew
+
+
+def _waiting(epoch: Epoch, known: Alignment, n_old: int, events: tuple[str, ...]) -> Prior:
     state = replace(State.empty(epoch.t_ns), aside=known)
     return Prior(state, np.zeros((0, n_old)), np.zeros((0, 0)), events=events)
 
@@ -84,7 +116,8 @@ def _started(
     else:
         n = len(MOTION) + len(names)
         state = State(epoch.t_ns, np.zeros(n), np.zeros((n, n)), Layout((*MOTION, *names)))
-        prior = Prior(state, np.zeros((n, n_old)), np.zeros((n, n)), 6, events)
+        consumed = 3 if fix.velocity_cov is None else 6
+        prior = Prior(state, np.zeros((n, n_old)), np.zeros((n, n)), consumed, events)
     return _with_attitude(prior, fix, found, epoch.imu, options)
 
 
@@ -107,7 +140,7 @@ def _with_attitude(
     velocity = np.zeros(3) if fix.velocity_mps is None else fix.velocity_mps - C @ cross(rate, arm)
     mean, P, layout = prior.state.mean.copy(), prior.state.P.copy(), prior.state.layout
     mean[:3], mean[3:6], mean[layout.block("bg")] = fix.position_m - C @ arm, velocity, found.gyro_bias_radps
-    P[:6, :6] = np.diag(np.repeat([START_M, START_MPS], 3) ** 2)
+    P[:6, :6] = np.diag(np.repeat([START_M, ANY_MPS if fix.velocity_cov is None else START_MPS], 3) ** 2)
     at = layout.block("att")
     P[np.ix_(at, at)] = symmetric(to_ecef @ np.diag(found.sigma_rad**2) @ to_ecef.T)
     sigma = options.ins.spec.start_sigma()
@@ -124,13 +157,44 @@ def begun(prior: Prior, event: str) -> Prior:
     sigma = {"pos": START_M, "vel": START_MPS, "clk": CLOCK_M, "drift": DRIFT_MPS}
     at = np.concatenate([prior.state.layout.block(kind) for kind in sigma])
     variance = np.concatenate([np.full(len(prior.state.layout.block(k)), s**2) for k, s in sigma.items()])
+    variance = np.maximum(variance, prior.state.P[at, at])
+    return _born(prior, prior.state.mean, at, np.diag(variance), event)
+
+
+def found_anew(prior: Prior, noise: NoiseModel, event: str) -> Prior:
+    """Return the prior of a filter that lost its position: all that it learnt from GNSS is born anew, but for
+    attitude and the IMU's errors.
+
+    Inter-system biases and the errors of satellites fitted the wrong position: they would hold it.
+    """
+    prior = begun(prior, event)
+    layout, rows, mean = prior.state.layout, prior.context, prior.state.mean.copy()
+    lasting = np.zeros((len(layout), len(layout)))
+    stationary(lasting, layout, rows, noise)
+    isb = layout.block("isb")
+    lasting[isb, isb] = CLOCK_M**2
+    at = np.concatenate([isb, *(layout.block(kind) for kind in KINDS)])
+    mean[at] = 0.0
+    residual = rows.y - rows.predicted
+    of = np.array([f"isb:{system_of(k)}" for k in rows.keys])
+    own = ~np.isin(of, [layout.names[i] for i in isb])
+    mean[6] = mode(residual[own]) if own.any() else mean[6]
+    for i in isb.tolist():
+        here = of == layout.names[i]
+        mean[i] = mode(residual[here]) - mean[6] if here.any() else prior.state.mean[i]
+    return _born(prior, mean, at, lasting[np.ix_(at, at)], "")
+
+
+def _born(
+    prior: Prior, mean: FloatArray, at: npt.NDArray[np.intp], variance: FloatArray, event: str
+) -> Prior:
+    """Return the prior with some states that inherit nothing."""
     F, Q, P = prior.F.copy(), prior.Q.copy(), prior.state.P.copy()
-    variance = np.maximum(variance, P[at, at])
     for matrix in (Q, P):
         matrix[at], matrix[:, at] = 0.0, 0.0
-        matrix[at, at] = variance
+        matrix[np.ix_(at, at)] = variance
     F[at] = 0.0
-    state = replace(prior.state, P=P, aside=prior.state.aside.with_(refused_since_ns=None))
-    return replace(
-        prior, state=state, F=F, Q=Q, consumed=prior.consumed + len(at), events=(*prior.events, event)
-    )
+    state = replace(prior.state, mean=mean, P=P, aside=prior.state.aside.with_(refused_since_ns=None))
+    fresh = [i for i in at.tolist() if not prior.state.layout.names[i].startswith(KINDS)]
+    events = (*prior.events, event) if event else prior.events
+    return replace(prior, state=state, F=F, Q=Q, consumed=prior.consumed + len(fresh), events=events)

@@ -15,7 +15,7 @@ KEYS = ("zupt:DX", "zupt:DY", "zupt:DZ")
 #: Shaking and turning of a vehicle that stands, its engine on: per sample and in the mean.
 SHAKEN_MPS2, SHAKEN_RADPS, TURNING_RADPS = 0.15, 0.02, 0.01
 #: Shortest time that tells, s; white noise of samples is allowed for with so many standard deviations.
-LEAST_S, ALLOWED_SIGMA = 0.2, 3.0
+LEAST_S, ALLOWED_SIGMA = 0.08, 3.0
 #: What a standing vehicle may move, m/s; the filter must not be sure of more than this and three sigma.
 STILL_MPS, MOVING_MPS = 0.02, 1.0
 

@@ -11,13 +11,12 @@ from pntegrity.estimators._errors import error_kinds
 from pntegrity.estimators._filter import clock_walk, clocks, mode, next_layout, transition
 from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows, system_of
 from pntegrity.estimators._ins_motion import Moved
-from pntegrity.estimators._ins_solution import Aside, antenna, antenna_of, inertial_names, with_aside
-from pntegrity.estimators._ins_start import begun
+from pntegrity.estimators._ins_solution import antenna, antenna_of, arm_slopes, inertial_names, with_aside
+from pntegrity.estimators._ins_start import found_anew
 from pntegrity.estimators._ins_still import standing, zero_velocity
 from pntegrity.estimators._layout import columns
 from pntegrity.estimators._navigation import MOTION, Stack, stack, use
 from pntegrity.kernels.linear import symmetric
-from pntegrity.kernels.rotations import cross, skew
 from pntegrity.kernels.row_tests import leave_out
 from pntegrity.kernels.signatures import is_rate
 from pntegrity.kernels.snapshot_fix import pdop_of
@@ -55,15 +54,17 @@ def predict(state: State, moved: Moved, epoch: Epoch, dt: float, options: GnssOp
     mean, F, Q, consumed, events = clocks(mean, F, Q, layout, state.layout, rows, mode)
     P = symmetric(sandwich(F, state.P) + Q)
     prior = Prior(State(epoch.t_ns, mean, P, layout, aside), F, Q, consumed, moved.events + events, rows)
-    return _found_again(prior, options.ins.lost_s)
+    return _found_again(prior, options)
 
 
-def _found_again(prior: Prior, lost_s: float) -> Prior:
-    """Return the prior with position and velocity born anew, where most codes have been refused so long."""
-    since: int | None = prior.state.aside.refused_since_ns
+def _found_again(prior: Prior, options: GnssOptions) -> Prior:
+    """Return the prior with all that GNSS told born anew, where most codes have been refused so long."""
+    since, lost_s = prior.state.aside.refused_since_ns, options.ins.lost_s
     if since is None or (prior.state.t_ns - since) * 1e-9 < lost_s:
         return prior
-    return begun(prior, f"re-acquisition: most pseudoranges were refused for {lost_s:.0f} s")
+    return found_anew(
+        prior, options.noise, f"re-acquisition: most pseudoranges were refused for {lost_s:.0f} s"
+    )
 
 
 def correct(prior: Prior, epoch: Epoch, options: GnssOptions, exclude: frozenset[str]) -> Update:
@@ -93,16 +94,14 @@ def _rows(prior: Prior, epoch: Epoch, options: GnssOptions) -> Stack:
 
 def _write_arm(state: State, H: FloatArray, codes: int) -> None:
     """Write into a Jacobian what attitude and the gyroscopes' errors do to the antenna."""
-    aside: Aside = state.aside
-    if not aside.arm_m.any():
+    if not state.aside.arm_m.any():
         return
-    block, C, place, speed = state.layout.block, aside.C, H[:codes, :3], H[codes:, 3:6]
-    H[:codes, block("att")] = -place @ skew(C @ aside.arm_m)
-    H[codes:, block("att")] = -speed @ skew(C @ cross(aside.rate_radps, aside.arm_m))
-    swing = speed @ C @ skew(aside.arm_m)
-    H[codes:, block("bg")] = swing
-    if len(scale := block("sg")):
-        H[codes:, scale] = swing * aside.rate_radps
+    block, place, speed = state.layout.block, H[:codes, :3], H[codes:, 3:6]
+    slopes = arm_slopes(state.aside)
+    H[:codes, block("att")] = place @ slopes[0]
+    for kind, slope in zip(("att", "bg", "sg"), slopes[1:], strict=True):
+        if len(at := block(kind)):
+            H[codes:, at] = speed @ slope
 
 
 def screened(
@@ -118,7 +117,8 @@ def screened(
     used[at[passes > 0]] = False
     dropped = sorted(((rows.keys[at[i]], int(passes[i])) for i in np.flatnonzero(passes)), key=lambda d: d[1])
     both = ((allowed & codes)[: len(clocks_)], (used & codes)[: len(clocks_)])
-    los, none = -rows.H[: len(clocks_), :3], "no row passes its test" if len(at) else "no satellite above the mask"
+    los = -rows.H[: len(clocks_), :3]
+    none = "no row passes its test" if len(at) else "no satellite above the mask"
     return used, Screening(
         "ours" if np.isfinite(limit_sigma) else "none", first=first, first_limit=limit_sigma, last=last,
         last_limit=limit_sigma, dropped=tuple(dropped), tests=1 + len(dropped),

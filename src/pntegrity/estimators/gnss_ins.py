@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from pntegrity.estimators import _ins_loose, _ins_tight
 from pntegrity.estimators._gnss import GnssOptions
-from pntegrity.estimators._ins_motion import advance
+from pntegrity.estimators._ins_alignment import Alignment
+from pntegrity.estimators._ins_motion import advance, is_lost
 from pntegrity.estimators._ins_start import align, begun
 from pntegrity.estimators._usual import Usual
 from pntegrity.records import Epoch, Prior, State, Update
 from pntegrity.sensors.noise import CITY, NoiseModel
 
 __all__ = ["GnssIns"]
+
+LOST = "restart: without inertial data for too long the attitude was lost"
+#: Exclusion of fixes: the unit bridges some seconds well and half a minute badly.
+TRUSTING = {"trust_prior": True, "proof_s": 3.0, "proof_epochs": 5, "reacquire_s": 30.0}
 
 
 @dataclass(frozen=True)
@@ -48,11 +53,13 @@ class GnssIns(Usual):
 
     @property
     def policy(self) -> Mapping[str, Any]:  # type: ignore[override]
-        """What suits the pipeline: detection of the tight filter is its own, and no restart loses the
-        attitude.
+        """What suits the pipeline: detection of the tight filter is its own, no restart loses the attitude,
+        and a fix that contradicts the unit is at fault.
         """
         usual = {"keep_rows": 0, "most_excluded": 1.0, "restart_s": float("inf")}
-        return usual | ({"exclude": False} if self._is_tight else {})
+        if self._is_tight:
+            return usual | {"exclude": False}
+        return usual | (TRUSTING if self.options.ins.fde == "ours" else {})
 
     def predict(self, state: State, epoch: Epoch) -> Prior:
         """Return the prior at `epoch`; an empty one as long as the attitude is not known."""
@@ -60,11 +67,17 @@ class GnssIns(Usual):
         if not len(state):
             return align(state, epoch, self.options, ())
         if dt > self.options.max_gap_s or dt <= 0.0:
-            event = f"restart after a gap of {dt:.0f} s"
-            return align(State.empty(state.t_ns), epoch, self.options, (event,), len(state))
+            return self._anew(state, epoch, f"restart after a gap of {dt:.0f} s")
         moved = advance(state, epoch.imu, dt, self.options.ins)
+        if is_lost(state, moved) and len((anew := self._anew(state, epoch, LOST)).state):
+            return anew
         step = _ins_tight.predict if self._is_tight else _ins_loose.predict
         return step(state, moved, epoch, dt, self.options)
+
+    def _anew(self, state: State, epoch: Epoch, event: str) -> Prior:
+        """Return the prior of a filter that must align again; a heading given for the start is of no use."""
+        empty = replace(State.empty(state.t_ns), aside=Alignment(is_late=True))
+        return align(empty, epoch, self.options, (event,), len(state))
 
     def relax(self, prior: Prior) -> Prior:
         """Return the prior with position, velocity and clock born anew; attitude and the IMU's errors

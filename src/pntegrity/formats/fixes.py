@@ -106,7 +106,9 @@ def read_fixes(
     if not velocity or track.velocity_mps is None or not at["velocity"]:
         return tuple(map(_epoch, track.t_ns.tolist(), track.position_m, cov))
     speed_cov = _in_ecef(numbers, at["velocity"], turn, sigma_floor_mps)
-    speed = track.velocity_mps if not velocity_lag_s else _later(track.t_ns, track.velocity_mps, velocity_lag_s)
+    speed = (
+        track.velocity_mps if not velocity_lag_s else _later(track.t_ns, track.velocity_mps, velocity_lag_s)
+    )
     return tuple(
         _with_velocity(*row)
         for row in zip(track.t_ns.tolist(), track.position_m, cov, speed, speed_cov, strict=True)

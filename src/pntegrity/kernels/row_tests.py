@@ -43,7 +43,8 @@ def leave_out(nu: FloatArray, S: FloatArray, limit: float, least: int = 0) -> tu
     """
     if not len(nu):
         return np.zeros(0, dtype=np.int64), 0.0, 0.0
-    return _leave_out(nu, np.ascontiguousarray(S), inverse_definite(S), limit, least)
+    passes, first, last = _leave_out(nu, np.ascontiguousarray(S), inverse_definite(S), limit, least)
+    return passes, float(first), float(last)
 
 
 @njit(cache=True)

@@ -7,37 +7,13 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from pntegrity.kernels.bank import (
-    Bank,
-    IntArray,
-    MaximumTest,
-    Schedule,
-    advance,
-    empty_bank,
-    parents,
-    rearrange,
-    stack_sources,
-    step_of,
-)  # fmt: skip
-from pntegrity.kernels.signatures import catalogue, rows_touched
-from pntegrity.kernels.tails import max_threshold
+from pntegrity.kernels.bank import MaximumTest, Schedule
+from pntegrity.kernels.signatures import Signature, catalogue, rows_touched
+from pntegrity.monitors import _hypotheses
+from pntegrity.monitors._hypotheses import HypothesesMemory
 from pntegrity.monitors._options import check_epochs, check_test
-from pntegrity.monitors._window import best_of_groups, is_ambiguous, no_redundancy, unavailable
+from pntegrity.monitors._window import best_of_groups, is_ambiguous, unavailable
 from pntegrity.records import FloatArray, Suspect, Update, Verdict
-
-KINDS: tuple[Literal["bias", "ramp"], ...] = ("bias", "ramp")
-
-
-@dataclass(frozen=True, eq=False)
-class GlrMemory:
-    """What the GLR keeps: an epoch counter, the last time, one bank a kind, and the sums of the hypotheses
-    (flat).
-    """
-
-    count: int
-    last_ns: int
-    banks: tuple[Bank, ...]
-    num: FloatArray
 
 
 @dataclass(frozen=True)
@@ -89,28 +65,17 @@ class Glr:
     @property
     def schedules(self) -> tuple[Schedule, ...]:
         """Which onsets are kept for biases and for ramps."""
-        return Schedule(1, 0, self.longest // 4), Schedule(4, 3, self.longest)
+        return _hypotheses.schedules(self.longest)
 
-    def start(self) -> GlrMemory:
+    def start(self) -> HypothesesMemory:
         """Return empty banks."""
-        return GlrMemory(0, 0, tuple(empty_bank() for _ in KINDS), np.zeros(0))
+        return HypothesesMemory.empty()
 
-    def plan(self, memory: GlrMemory, update: Update) -> tuple[MaximumTest, GlrMemory]:
+    def plan(self, memory: HypothesesMemory, update: Update) -> tuple[MaximumTest, HypothesesMemory]:
         """Return the test of `update`, without data, and the memory after it, but for its sums (`num`)."""
-        if not update.keys:
-            return MaximumTest.impossible(no_redundancy(update)), self.start()
-        if update.is_start:
-            memory = self.start()
-        banks, source, response = self._carried(memory, update)
-        after = GlrMemory(memory.count + 1, update.t_ns, banks, np.zeros(0))
-        inverse, rho = self._tested(after)
-        if len(update.keys) <= update.consumed or not len(rho):
-            none = np.zeros_like(inverse)
-            return MaximumTest(banks, source, response, none, rho, reason=no_redundancy(update)), after
-        threshold = self.factor * max_threshold(rho, self.p_fa) ** 2
-        return MaximumTest(banks, source, response, inverse, rho, threshold, self.p_fa), after
+        return _hypotheses.plan(memory, update, _looks, self.longest, self.p_fa, self.factor)
 
-    def step(self, memory: GlrMemory, update: Update) -> tuple[Verdict, GlrMemory]:
+    def step(self, memory: HypothesesMemory, update: Update) -> tuple[Verdict, HypothesesMemory]:
         """Test the bank after `update`."""
         test, after = self.plan(memory, update)
         if not update.keys:
@@ -130,33 +95,9 @@ class Glr:
             self.name, self.variant, update.t_ns, "alert", *facts, suspects, is_ambiguous(suspects)
         )
 
-    def _carried(self, memory: GlrMemory, update: Update) -> tuple[tuple[Bank, ...], IntArray, FloatArray]:
-        """Return the banks after `update`, where their hypotheses stood before, and their whitened
-        responses.
-        """
-        start_ns = memory.last_ns if memory.count else update.t_ns
-        banks, sources, responses = [], [], []
-        step = step_of(update.F, update.H, update.L, update.K)
-        for kind, schedule, bank in zip(KINDS, self.schedules, memory.banks, strict=True):
-            ready, source = rearrange(bank, catalogue(update.keys, kind), schedule, memory.count, start_ns)
-            after, response = advance(ready, update.t_ns, rows_touched(update.keys, kind), step)
-            banks.append(after)
-            sources.append(source)
-            responses.append(response)
-        sizes = [b.den.size for b in memory.banks]
-        return tuple(banks), stack_sources(sources, sizes), np.concatenate(responses)
 
-    def _tested(self, memory: GlrMemory) -> tuple[FloatArray, FloatArray]:
-        """Return ``1 / den`` of every hypothesis (0 where it is not tested) and the parent correlation of the
-        tested.
-        """
-        inverse, rho = [], []
-        for schedule, bank in zip(self.schedules, memory.banks, strict=True):
-            linked = parents(bank.gram, schedule.tested(bank.onset, memory.count - 1)).ravel()
-            tested = linked >= 0.0
-            inverse.append(np.divide(1.0, bank.den.ravel(), out=np.zeros(len(linked)), where=tested))
-            rho.append(linked[tested])
-        return np.concatenate(inverse), np.concatenate(rho)
+def _looks(update: Update, kind: str) -> tuple[tuple[Signature, ...], tuple[FloatArray, FloatArray]]:
+    return catalogue(update.keys, kind), rows_touched(update.keys, kind)
 
 
 def _suspects(test: MaximumTest, num: FloatArray) -> tuple[Suspect, ...]:

@@ -21,12 +21,14 @@ import numpy.typing as npt
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.truth import Truth, read_truth
+from pntegrity.physics.frames import enu_rotation
 from pntegrity.physics.tables import Klobuchar, Navigation
 from pntegrity.physics.time import SECOND_NS
 from pntegrity.records import Epoch, FloatArray
 from pntegrity.scenarios._real_logs import TST, Site
 from pntegrity.sensors.imu import ImuSpec
 from pntegrity.sensors.increments import with_increments
+from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.error_library import ErrorLibrary, library_of
 from pntegrity.simulate.imu import increments, with_errors
 from pntegrity.simulate.motion import Motion, motion_of
@@ -34,7 +36,8 @@ from pntegrity.simulate.urban import urban_epochs
 from pntegrity.simulate.urban_scenario import CHALLENGING, OPEN, Section, UrbanScenario
 
 __all__ = [
-    "UrbanLog", "missing", "nagoya_log", "nagoya_truth", "scenario", "tst_library", "tst_log", "tst_with_imu",
+    "UrbanLog", "missing", "nagoya_log", "nagoya_truth", "open_log", "scenario", "tst_library", "tst_log",
+    "tst_with_imu",
 ]  # fmt: skip
 
 #: Between the first and last time of a reference and the first and last epoch, s: motion is smooth inside.
@@ -73,6 +76,11 @@ class UrbanLog:
     spec: ImuSpec
     lever_arm_m: tuple[float, float, float]
     imu_errors: FloatArray
+
+    @property
+    def to_enu(self) -> FloatArray:
+        """Rotation of ECEF into east, north, up at the drive's first position."""
+        return enu_rotation(self.position_m[0])
 
 
 @cache
@@ -150,8 +158,33 @@ def nagoya_log(data: Path, load: str, seed: int, spec: ImuSpec, section: str | N
         raise ValueError(f"`section` must be None or {OPEN!r}, not {section!r}")
     if section == OPEN:
         town = replace(town, sections=(Section(OPEN, town.sections[0].start_s, town.sections[-1].end_s),))
-    motion, nav = _nagoya(data)
-    t_ns = _grid(truth, town.rate_hz)
+    return _simulated(data, town, load, seed, spec, _grid(truth, town.rate_hz))
+
+
+def open_log(
+    data: Path, noise: NoiseModel, seed: int, spec: ImuSpec, start_s: float, end_s: float
+) -> UrbanLog:
+    """Return a part of the drive through Nagoya under an open sky, GNSS errors drawn from a noise model.
+
+    Parameters
+    ----------
+    data : Path
+    noise : NoiseModel
+    seed : int
+    spec : ImuSpec
+    start_s, end_s : float
+        Since the first epoch of the drive.
+    """
+    town = replace(scenario(), noise=noise, sections=(Section(OPEN, 0.0, end_s - start_s),))
+    t_ns = _grid(nagoya_truth(data), town.rate_hz)
+    since = (t_ns - t_ns[0]) * 1e-9
+    return _simulated(data, town, "full", seed, spec, t_ns[(since >= start_s) & (since < end_s)])
+
+
+def _simulated(
+    data: Path, town: UrbanScenario, load: str, seed: int, spec: ImuSpec, t_ns: npt.NDArray[np.int64]
+) -> UrbanLog:
+    truth, (motion, nav) = nagoya_truth(data), _nagoya(data)
     gnss, inertial = _generators(seed)
     made = urban_epochs(town, load, motion, t_ns, nav, tst_library(data), gnss)
     imu = _Imu(motion, truth, replace(spec, rate_hz=town.imu_rate_hz), inertial)

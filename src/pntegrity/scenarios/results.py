@@ -3,50 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from importlib import import_module
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from pntegrity.scenarios._campaign import Campaign, from_module
+from pntegrity.scenarios._city_campaigns import CITY
 from pntegrity.scenarios._real_logs import Row, row, skipped
 
 __all__ = ["CAMPAIGNS", "Campaign", "page", "run_campaign", "section", "summary_line"]
 
 PACKAGES = ("numpy", "scipy", "numba", "sidereon")
-
-
-@dataclass(frozen=True)
-class Campaign:
-    """One campaign.
-
-    Parameters
-    ----------
-    name, title, text : str
-        For the command line, the page's heading, and what was done.
-    run : callable
-        Data folder -> rows.
-    real : bool
-        Whether it needs the data folder.
-    """
-
-    name: str
-    title: str
-    text: str
-    run: Callable[[Path], Sequence[Row]]
-    real: bool = True
-
-
-def _from(module: str, function: str) -> Callable[[Path], Sequence[Row]]:
-    """Return a campaign of a module of this folder, imported when it runs."""
-
-    def run(data: Path) -> Sequence[Row]:
-        found = import_module(f"pntegrity.scenarios.{module}")
-        rows: Sequence[Row] = getattr(found, function)(data)
-        return rows
-
-    return run
 
 
 def _spp8(data: Path) -> list[Row]:
@@ -96,7 +64,7 @@ innovations are drawn white, so a false-alarm rate is a property of the monitor 
 half; alarms and whiteness are those of the second. 450 correlated epochs cannot prove a rate of
 1e-6, they can only refute it. The white model is the best of its kind: its sigma is fitted to the
 same data.""",
-        _from("evidence_real", "clean"),
+        from_module("evidence_real", "clean"),
     ),
     Campaign(
         "delays",
@@ -104,14 +72,14 @@ same data.""",
         """The same log, second half, each satellite in turn, four onsets, P_FA 1e-6. The best possible test
 knows satellite, course, size, sign and onset; its delay is the first at which it alarms with
 probability one half. No test of this P_FA is more powerful at any epoch under the same noise model.""",
-        _from("evidence_real", "delays"),
+        from_module("evidence_real", "delays"),
     ),
     Campaign(
         "faults",
         "Real static receiver: injected faults through the whole pipeline",
         """The same log, second half, random satellites, sizes, signs and onsets. With few satellites the
 filter ran for a minute on these alone before the fault; the snapshot has the one epoch.""",
-        _from("evidence_faults", "faults"),
+        from_module("evidence_faults", "faults"),
     ),
     Campaign(
         "receivers",
@@ -119,13 +87,13 @@ filter ran for a minute on these alone before the fault; the snapshot has the on
         """What the defaults and a fit to the first half of each log say on its second half. In the urban
 canyon most measurements are reflected: alarms there are true ones, and a fit takes the reflections
 for noise.""",
-        _from("evidence_receivers", "receivers"),
+        from_module("evidence_receivers", "receivers"),
     ),
     Campaign(
         "speed",
         "Speed of the main job",
         "A whole process each time, from the files to the report.",
-        _from("evidence_receivers", "speed"),
+        from_module("evidence_receivers", "speed"),
     ),
     Campaign(
         "ppp",
@@ -133,21 +101,21 @@ for noise.""",
         """Kinematic PPP, position white noise, float, default noise model: two static stations and a road
 drive. References are of the antennas. `python -m benchmarks.peers_ppp` runs RTKLIB on the same
 files (docs/benchmarks.md).""",
-        _from("evidence_ppp", "accuracy"),
+        from_module("evidence_ppp", "accuracy"),
     ),
     Campaign(
         "ppp-clean",
         "Precise logs, no fault",
         """The noise model is fitted to the first half of each log; alarms and whiteness are those of the
 second.""",
-        _from("evidence_ppp", "clean"),
+        from_module("evidence_ppp", "clean"),
     ),
     Campaign(
         "ppp-drive",
         "Precise road drive, no fault: every alarm explained",
         """CARD, the whole pipeline, noise model fitted to the first half. An alarm counts as explained where
 what was left out is shown to be wrong by something that the monitors did not use.""",
-        _from("evidence_ppp_drive", "drive"),
+        from_module("evidence_ppp_drive", "drive"),
     ),
     Campaign(
         "ppp-van",
@@ -155,26 +123,26 @@ what was left out is shown to be wrong by something that the monitors did not us
         """The observations of this run are not public: GPS and GLONASS are simulated on its true track under
 the real orbits and clocks of the day, with noise that makes the clean error that of GINav's own
 solution of the real data.""",
-        _from("evidence_ppp_drive", "van"),
+        from_module("evidence_ppp_drive", "van"),
     ),
     Campaign(
         "ppp-ramps",
         "Precise static log: one carrier grows by 1 cm an epoch",
         """ESBC, second half, each satellite in turn, three onsets, P_FA 1e-6, fitted noise model.""",
-        _from("evidence_ppp_faults", "carrier_ramps"),
+        from_module("evidence_ppp_faults", "carrier_ramps"),
     ),
     Campaign(
         "ppp-faults",
         "Precise logs: code and carrier of a satellite grow, through the whole pipeline",
         """Each satellite in turn, 40 epochs of growth, exclusion and repair; distances are to the run without
 the fault.""",
-        _from("evidence_ppp_faults", "satellite_ramps"),
+        from_module("evidence_ppp_faults", "satellite_ramps"),
     ),
     Campaign(
         "ppp-speed",
         "Speed of precise positioning",
         "One thread; best of five runs over the log.",
-        _from("evidence_ppp", "speed"),
+        from_module("evidence_ppp", "speed"),
     ),
     Campaign(
         "sraime-spp",
@@ -198,7 +166,7 @@ products of 0.1 and 0.2 m. *white*: the filter of the literature; *correlated* a
 state a product (30 min), code and carrier of which 70 % last 60 s; *white* and *correlated* have slant delays
 that walk 1 mm/√s, as a prototype had, *default* 3. Cases 1 to 4: faults of nothing; satellites (1e-5); and
 the troposphere product; and all ionosphere products. Risk 1e-7 an epoch. Levels do not depend on data.""",
-        _from("evidence_rtk_cases", "cases"),
+        from_module("evidence_rtk_cases", "cases"),
     ),
     Campaign(
         "rtk-risk",
@@ -207,7 +175,7 @@ the troposphere product; and all ionosphere products. Risk 1e-7 an epoch. Levels
 correlation times, which the table names. Faults of every mode, with random shape (step or ramp of code and
 carrier, step of code, step of the product), onset and size, weighted by the mode's probability. An alert
 counts at its own epoch only: what it would have excluded later is left in.""",
-        _from("evidence_rtk_risk", "risk"),
+        from_module("evidence_rtk_risk", "risk"),
     ),
     Campaign(
         "ppp-rtk",
@@ -223,7 +191,7 @@ real, of another station and day; observations and products are simulated.""",
 17 satellites, and *warm pairs* without two; a satellite has two codes, two carriers and a product, and
 three states of its own (60 in all) or four, with a bias of its product (77). The numpy filter is the
 textbook's.""",
-        _from("evidence_rtk_speed", "speed"),
+        from_module("evidence_rtk_speed", "speed"),
         real=False,
     ),
     Campaign(
@@ -236,7 +204,7 @@ seeds. The default noise model but for satellite clocks, which walk half as much
 settings on 00:00-02:00 alone, as the one with the smallest horizontal error of those whose errors are 0.7 to
 1.3 of their sigmas there. Receiver and sky are the same for all seeds: the errors of their own are one
 sample. The reference is a mean of PPP, good to 1-3 cm. Levels for a risk of 1e-7 an epoch.""",
-        _from("evidence_rtk_opec", "clean"),
+        from_module("evidence_rtk_opec", "clean"),
     ),
     Campaign(
         "rtk-opec-faults",
@@ -244,7 +212,7 @@ sample. The reference is a mean of PPP, good to 1-3 cm. Levels for a risk of 1e-
         """A start at 02:00, faults 10 and 30 min later, each satellite in turn, two seeds of product errors
 for 5 m and 0.5 m and one for the others; exclusion by warm subfilters. A level may leave a fault whose
 probability is 1e-5 a hundredth of its cases unseen and beyond it.""",
-        _from("evidence_rtk_opec", "faults"),
+        from_module("evidence_rtk_opec", "faults"),
     ),
     Campaign(
         "rtk-clas",
@@ -253,7 +221,7 @@ probability is 1e-5 a hundredth of its cases unseen and beyond it.""",
 their qualities as broadcast, float. *chosen*: code 0.15 m and carrier 2 mm at the zenith, from the
 residuals at the known place in the first 300 s; *default*: the default model.
 `python -m benchmarks.peers_clas` runs cssrlib on the same files.""",
-        _from("evidence_rtk_clas", "whole"),
+        from_module("evidence_rtk_clas", "whole"),
     ),
     Campaign(
         "rtk-clas-ramp",
@@ -261,7 +229,25 @@ residuals at the known place in the first 300 s; *default*: the default model.
         """The same log; code and carriers of one satellite after the other grow by 2 cm/s from 300 s on
 (*chosen*: and from 600 s on), looked at for 120 s. Induced errors are distances from the run without the
 fault. cssrlib goes on as *fixed* then, metres off (docs/benchmarks.md).""",
-        _from("evidence_rtk_clas", "ramps"),
+        from_module("evidence_rtk_clas", "ramps"),
+    ),
+    *CITY,
+    Campaign(
+        "acoustics",
+        "Real acoustic ranges: how well the model explains them",
+        """Residuals where GNSS and attitude say that the vessel was: two-way ranges of a Wave Glider (NCL1)
+and of a ship (SAGA) to transponders on the sea floor, as ranges one way; and what least squares finds in
+them.""",
+        from_module("evidence_acoustics", "acoustics"),
+    ),
+    Campaign(
+        "multi-level",
+        "Several sources beside an INS, simulated: which one, which sensor, when is it back",
+        """The linear study of INS, GNSS, LBL and USBL, 200 s at 2 Hz, 200 runs of each case, with a seed on which
+no rule was chosen; the rules of identification, the noise of the USBL angles and the rates were chosen on
+another seed of the same cases.""",
+        from_module("reproduce_multi_level", "multi_level"),
+        real=False,
     ),
 )
 CAMPAIGNS: Mapping[str, Campaign] = {c.name: c for c in _ALL}

@@ -301,7 +301,8 @@ PPP_RTK_PUBLISHED = replace(
 )
 
 #: What a receiver in a city starts from: multipath is an error of each satellite that lasts a minute, larger
-#: where C/N0 is low, at any elevation; what is larger is for the tests. The clock is that of a cheap oscillator.
+#: where C/N0 is low, at any elevation; what is larger is for the tests. The clock is that of a cheap
+#: oscillator.
 CITY = NoiseModel(
     code_white_m=0.7, code_multipath_m=1.0, code_multipath_tau_s=60.0, code_bias_m=0.0, doppler_mps=0.05,
     cn0_ref_dbhz=45.0, elevation_power=0.0, bds2_factor=1.0, clock_m=0.1, clock_drift_mps=0.1, isb_m=0.01,

@@ -1,0 +1,314 @@
+"""Sources and their redundant sensors as monitors see them: by the names of the rows, and by nothing else.
+
+A row ``"<source>:<kind>.<sensor>"`` belongs to a sensor of a source; one without a dot to a source that is
+one sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from pntegrity.kernels.bank import LEAST
+from pntegrity.kernels.signatures import Signature, catalogue, is_rate, masks
+from pntegrity.kernels.source_test import Courses, WithoutSource, courses, responses
+from pntegrity.records import FloatArray, Update
+from pntegrity.states import group_of
+
+__all__ = ["Evidence", "looks", "name_of_sensor", "sensors_in", "sensors_of", "sources_in"]
+
+IntArray = npt.NDArray[np.intp]
+#: A source with at least so many level sensors may shift as a whole: three determine a position.
+SHIFTABLE = 3
+#: A window is cut to so many rows: what is made of it grows with their square.
+MOST_ROWS = 400
+#: Ages of onsets that are looked at in a window, epochs.
+AGES = (0, 1, 2, 3, 5, 7, 10, 14, 20, 28, 40, 64)
+SHIFT = "shift"
+#: Epochs of a window in which a fault can be said to have begun before it.
+OLD_ENOUGH = 8
+
+
+def name_of_sensor(key: str) -> str:
+    """Return the sensor within its source, empty for a source that is one sensor."""
+    return key.partition(":")[2].partition(".")[2]
+
+
+@lru_cache(maxsize=256)
+def sensors_of(keys: tuple[str, ...]) -> Mapping[str, tuple[str, ...]]:
+    """Return the sensors of each source, both sorted."""
+    found: dict[str, set[str]] = {}
+    for key in keys:
+        found.setdefault(group_of(key), set()).add(name_of_sensor(key))
+    return {source: tuple(sorted(found[source])) for source in sorted(found)}
+
+
+@lru_cache(maxsize=4096)
+def sources_in(signature: Signature) -> tuple[str, ...]:
+    """Return the sources of a signature of `looks`."""
+    return tuple(dict.fromkeys(g.partition(".")[0] for g in signature.groups))
+
+
+@lru_cache(maxsize=4096)
+def sensors_in(signature: Signature) -> tuple[str, ...]:
+    """Return the sensors of a signature of `looks`, none for a source as a whole."""
+    return tuple(name for g in signature.groups for name in [g.partition(".")[2]] if name)
+
+
+def looks(update: Update, kind: str) -> tuple[tuple[Signature, ...], tuple[FloatArray, FloatArray]]:
+    """Return the faults that are looked for in an update, and the rows (m, s) that grow and that jump.
+
+    Those of `signatures.catalogue` on every sensor, and on all sensors whose names begin with the same
+    letters; and a source with some sensors as if the position were elsewhere: a shift along each axis.
+    """
+    signatures, touched, shifts = _faults(update.keys, update.prior.layout.names, kind)
+    growing, constant = touched
+    if not len(shifts):
+        return signatures, touched
+    growing, constant = growing.copy(), constant.copy()
+    for column, rows, rates, position, velocity in shifts:
+        target = growing if kind == "ramp" else constant
+        target[rows, column] = update.H[rows, position]
+        if kind == "ramp" and velocity >= 0:
+            constant[rates, column] = update.H[rates, velocity]
+    return signatures, (growing, constant)
+
+
+Shift = tuple[int, IntArray, IntArray, int, int]
+
+
+@lru_cache(maxsize=256)
+def _faults(
+    keys: tuple[str, ...], states: tuple[str, ...], kind: str
+) -> tuple[tuple[Signature, ...], tuple[FloatArray, FloatArray], tuple[Shift, ...]]:
+    named = tuple(_by_sensor(key) for key in keys)
+    single = catalogue(named, kind)
+    whole: list[Signature] = []
+    shifts: list[Shift] = []
+    position = [i for i, name in enumerate(states) if name.startswith("pos:")]
+    velocity = [i for i, name in enumerate(states) if name.startswith("vel:")] or [-1] * len(position)
+    for source in sensors_of(keys):
+        own = [i for i, key in enumerate(keys) if group_of(key) == source]
+        rows = np.array([i for i in own if not is_rate(keys[i])], dtype=np.intp)
+        rates = np.array([i for i in own if is_rate(keys[i])], dtype=np.intp)
+        if len({name_of_sensor(keys[i]) for i in rows}) < SHIFTABLE:
+            continue
+        for at, rate in zip(position, velocity, strict=True):
+            shifts.append((len(single) + len(whole), rows, rates, at, rate))
+            whole.append(Signature((source,), kind, (f"{SHIFT}:{states[at]}",)))
+    signatures = single + tuple(whole)
+    return signatures, masks(signatures, named), tuple(shifts)
+
+
+def _by_sensor(key: str) -> str:
+    """Return a key whose group is the sensor: ``"lbl:R.AP1"`` -> ``"lbl.AP1:R"``."""
+    source, _, rest = key.partition(":")
+    kind, dot, sensor = rest.partition(".")
+    return f"{source}.{sensor}:{kind}" if dot else key
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a window of updates can show of faults in it, without its data.
+
+    Parameters
+    ----------
+    window : tuple of Update
+        The oldest first; faults begin within it.
+    """
+
+    window: tuple[Update, ...]
+
+    @staticmethod
+    def of(window: Sequence[Update]) -> Evidence:
+        """Return the evidence of the last updates, as many as have some hundred rows."""
+        rows = np.cumsum([len(u.keys) for u in window[::-1]])
+        kept = max(int((rows <= MOST_ROWS).sum()), 1)
+        return Evidence(tuple(window[-kept:]))
+
+    @property
+    def white(self) -> FloatArray:
+        """The window's whitened innovations, shape (D,)."""
+        return np.concatenate([u.white for u in self.window])
+
+    @cached_property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the window's rows, D of them."""
+        return tuple(key for u in self.window for key in u.keys)
+
+    @cached_property
+    def responses(self) -> tuple[FloatArray, FloatArray]:
+        """See `source_test.responses`."""
+        return responses([(u.F, u.H, u.L, u.K) for u in self.window])
+
+    @property
+    def A(self) -> FloatArray:
+        """What a fault of each row does to the window."""
+        return self.responses[0]
+
+    @cached_property
+    def before(self) -> FloatArray:
+        """What an error before the window does to it, directions that it shows; shape (D, n)."""
+        return _unit(self.responses[1])
+
+    @cached_property
+    def faults(self) -> tuple[tuple[tuple[str, Signature], ...], Courses]:
+        """All faults that may begin in the window: their kinds and signatures, and their courses."""
+        last = len(self.window) - 1
+        t_s = np.array([(u.t_ns - self.window[0].t_ns) * 1e-9 for u in self.window])
+        step_s = float(np.median(np.diff(t_s))) if last else 1.0
+        onsets = sorted({last - age for age in AGES if age <= last})
+        named: list[tuple[str, Signature]] = []
+        parts: list[Courses] = []
+        for kind in ("bias", "ramp"):
+            signatures, touched = self._touched(kind)
+            old = onsets if kind == "bias" else [k for k in onsets if last - k >= 2] or onsets[:1]
+            part = courses(self.A, touched, t_s, step_s, old)
+            parts.append(Courses(part.means, part.signature + len(named), part.onset))
+            named += [(kind, s) for s in signatures]
+        means, signature, onset = (
+            np.concatenate([getattr(p, name) for p in parts], axis=-1)
+            for name in ("means", "signature", "onset")
+        )
+        return tuple(named), Courses(means, signature, onset)
+
+    def _touched(self, kind: str) -> tuple[tuple[Signature, ...], list[tuple[FloatArray, FloatArray]]]:
+        """Return the signatures of all epochs, and for each epoch the rows (m, s) that they touch."""
+        each = [looks(u, kind) for u in self.window]
+        signatures = tuple(dict.fromkeys(s for own, _ in each for s in own))
+        at = {s: i for i, s in enumerate(signatures)}
+        out = []
+        for own, (growing, constant) in each:
+            columns = [at[s] for s in own]
+            wide = np.zeros((2, len(growing), len(signatures)))
+            wide[0][:, columns], wide[1][:, columns] = growing, constant
+            out.append((wide[0], wide[1]))
+        return signatures, out
+
+    def without_sources(self, names: Iterable[str]) -> WithoutSource:
+        """Return what the window says without the rows of some sources.
+
+        Where they are several, what the state before the window was is not believed either: what sources
+        agree on may have drifted for long, and the state with it.
+        """
+        out = frozenset(names)
+        named, faults = self.faults
+        rows = np.array([i for i, key in enumerate(self.keys) if group_of(key) in out], dtype=np.intp)
+        others = np.array([not out.issuperset(sources_in(s)) for _, s in named])[faults.signature]
+        columns = [self.A[:, rows], self.before] if len(out) > 1 else [self.A[:, rows]]
+        return WithoutSource(_chosen(faults, others), np.concatenate(columns, axis=1))
+
+    def without_sensors(self, source: str, names: Iterable[str]) -> WithoutSource:
+        """Return what the window says of the other sensors of a source without some of them."""
+        out = frozenset(names)
+        named, faults = self.faults
+        rows = [
+            i for i, key in enumerate(self.keys) if group_of(key) == source and name_of_sensor(key) in out
+        ]
+        others = np.array([self._is_other(s, source, out) for _, s in named])[faults.signature]
+        return WithoutSource(_chosen(faults, others), self.A[:, np.array(rows, dtype=np.intp)])
+
+    @staticmethod
+    def _is_other(signature: Signature, source: str, out: frozenset[str]) -> bool:
+        """Tell whether a signature is of one sensor of a source, and not of those left out."""
+        sensors = sensors_in(signature)
+        return sources_in(signature) == (source,) and len(sensors) == 1 and sensors[0] not in out
+
+    def explained(self, white: FloatArray) -> FloatArray:
+        """Return what each fault explains of whitened innovations (D,) or (D, runs)."""
+        return np.asarray((self.units.T @ white) ** 2)
+
+    def ranked(self, explained: FloatArray) -> list[str]:
+        """Return the sources, the one first whose own fault explains most."""
+        best: dict[str, float] = {}
+        named, faults = self.faults
+        for e, s in zip(explained.tolist(), faults.signature.tolist(), strict=True):
+            for source in sources_in(named[s][1]):
+                best[source] = max(best.get(source, 0.0), e)
+        return sorted(best, key=lambda g: (-best[g], g))
+
+    def gained(self, white: FloatArray, names: tuple[str, ...]) -> FloatArray:
+        """Return what faults of some sources explain of whitened innovations (D,) or (D, runs) at best: one
+        fault of each, or all as if the position were elsewhere; less 2 for each parameter beyond the first.
+        """
+        named, faults = self.faults
+        each = [np.array([sources_in(s) == (name,) for _, s in named])[faults.signature] for name in names]
+        return np.maximum(self._in_turn(white, each), self._shifted(white, names))
+
+    def gained_by_sensors(self, white: FloatArray, source: str, names: tuple[str, ...]) -> FloatArray:
+        """Return what a fault of each of some sensors of a source explains together at best, as `gained`."""
+        named, faults = self.faults
+        each = [
+            np.array([sources_in(s) == (source,) and sensors_in(s) == (name,) for _, s in named])[
+                faults.signature
+            ]
+            for name in names
+        ]
+        return self._in_turn(white, each)
+
+    def _in_turn(self, white: FloatArray, each: Sequence[npt.NDArray[np.bool_]]) -> FloatArray:
+        """Return what the best fault of each of some lists explains, one after the other."""
+        left, total = white, -2.0 * (len(each) - 1) + np.zeros(white.shape[1:])
+        for own in each:
+            if not own.any():
+                continue
+            unit = self.units[:, own]
+            dots = unit.T @ left
+            at = np.abs(dots).argmax(axis=0)
+            best = np.take_along_axis(dots, np.expand_dims(at, 0), axis=0)[0]
+            total, left = total + best**2, left - unit[:, at] * best
+        return np.asarray(total)
+
+    @cached_property
+    def units(self) -> FloatArray:
+        """Means of all faults, of length 1; 0 where nothing is seen of one."""
+        return _unit(self.faults[1].means)
+
+    def _shifted(self, white: FloatArray, names: tuple[str, ...]) -> FloatArray:
+        """Return what a shift of some sources together explains, in any direction."""
+        out: FloatArray = np.zeros(white.shape[1:])
+        for base in self._shifts(names):
+            y = base.T @ white
+            out = np.maximum(out, np.sum(y * y, axis=0) - 2.0 * (base.shape[1] - 1))
+        return out
+
+    def _shifts(self, names: tuple[str, ...]) -> list[FloatArray]:
+        """Return orthonormal bases (D, axes) of the shifts of some sources together, one a kind and onset."""
+        named, faults = self.faults
+        whole: dict[tuple[str, int], dict[str, FloatArray]] = {}
+        for i, (s, onset) in enumerate(zip(faults.signature.tolist(), faults.onset.tolist(), strict=True)):
+            kind, signature = named[s]
+            if signature.level and signature.level[0].startswith(SHIFT) and sources_in(signature)[0] in names:
+                axes = whole.setdefault((kind, onset), {})
+                axis = signature.level[0]
+                axes[axis] = axes.get(axis, 0.0) + faults.means[:, i]
+        return [np.linalg.qr(np.stack(list(axes.values()), axis=1))[0] for axes in whole.values()]
+
+    def is_old(self, fault: int) -> bool:
+        """Tell whether a fault begins at one of the oldest onsets of its kind that are looked at."""
+        faults = self.faults[1]
+        if fault < 0 or len(self.window) < OLD_ENOUGH:
+            return False
+        onsets = faults.onset[faults.signature == faults.signature[fault]]
+        return int(faults.onset[fault]) <= int(np.sort(onsets)[min(1, len(onsets) - 1)])
+
+    def best(self, explained: FloatArray, sources: Iterable[str]) -> int:
+        """Return which fault of some sources explains most, -1 where they have none."""
+        out = frozenset(sources)
+        named, faults = self.faults
+        own = np.array([out.issuperset(sources_in(s)) for _, s in named])[faults.signature]
+        return int(np.argmax(np.where(own, explained, -1.0))) if own.any() else -1
+
+
+def _unit(means: FloatArray) -> FloatArray:
+    """Return columns of length 1; 0 where there is nothing."""
+    size = np.linalg.norm(means, axis=0)
+    return np.asarray(np.divide(means, size, out=np.zeros_like(means), where=size**2 > LEAST))
+
+
+def _chosen(faults: Courses, mask: npt.NDArray[np.bool_]) -> Courses:
+    return Courses(faults.means[:, mask], faults.signature[mask], faults.onset[mask])
