@@ -56,8 +56,8 @@ def levels_of(log: UrbanLog, messages: Mapping[str, Ism] = MESSAGES) -> Levels:
         state, bounds = update.posterior, []
         for n, monitor in monitors.items():
             verdict, memories[n] = monitor.step(memories[n], update)
-            bounds.append(verdict.bound)
-        if len(state) and all(b is not None for b in bounds):
+            bounds += [verdict.bound] if verdict.bound is not None else []
+        if len(state) and len(bounds) == len(monitors):
             kinds.append(log.kind[k])
             east, north, up = to_enu @ (state.mean[:3] - log.position_m[k])
             facts.append([np.hypot(east, north), abs(up), *bounds[0].sigma_m])

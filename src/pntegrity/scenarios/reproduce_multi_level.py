@@ -337,13 +337,8 @@ class _Runs:
         note = (
             f"in all 20 s {passes:.2f}, {trial:.3f}; trial of {found.window} epochs, back {back} s after it"
         )
-        return self._row(
-            "USBL 0.5 degrees: re-admitted within 20 epochs, share",
-            "trial never",
-            shown,
-            shown["trial"] == 0.0,
-            note,
-        )
+        what = "USBL 0.5 degrees: re-admitted within 20 epochs, share"
+        return self._row(what, "trial never", shown, shown["trial"] == 0.0, note)
 
     def _figure_13(self) -> Iterator[Row]:
         for size in (10.0, 20.0):
@@ -352,13 +347,9 @@ class _Runs:
             note = (
                 "mean over the satellites, first epoch, all at 1e-4; fix: the form in which the paper fuses"
             )
-            yield self._row(
-                f"figure 13, {size:g} m on a satellite: power",
-                "left-out = separation",
-                {k: round(v, 4) for k, v in power.items()},
-                ok,
-                note,
-            )
+            shown = {k: round(v, 4) for k, v in power.items()}
+            what = f"figure 13, {size:g} m on a satellite: power"
+            yield self._row(what, "left-out = separation", shown, ok, note)
 
     def _levels(self) -> Iterator[Row]:
         study, found = self.study, levels(self.study)
@@ -384,13 +375,8 @@ class _Runs:
             f"{done.misleading} of {done.runs} runs have an error beyond a level and no alert at some epoch, "
             f"{done.misleading_published} beyond the published; the largest is {done.worst:.2f} of the level"
         )
-        yield self._row(
-            "misleading information, share of runs with a fault",
-            f"at most {allowed:g}",
-            done.misleading / done.runs,
-            share <= allowed,
-            note,
-        )
+        what, ok = "misleading information, share of runs with a fault", share <= allowed
+        yield self._row(what, f"at most {allowed:g}", done.misleading / done.runs, ok, note)
 
 
 def _finite(value: float) -> float | None:
