@@ -49,6 +49,7 @@ def test_rows(benchmark: Any, noted: Any, fast: FastLog, coupling: str, fde: str
     _noted(benchmark, noted, f"gnss_ins, {coupling}, {fde}", fast)
 
 
+@pytest.mark.filterwarnings("ignore:The copy keyword")  # python-ins on a new pandas
 def test_fixes_beside_python_ins(benchmark: Any, noted: Any, fast: FastLog) -> None:
     estimator, epochs = filter_of(fast, "loose", "none"), fixes_only(fast)
     first = updates(estimator, epochs[:1])[0].posterior

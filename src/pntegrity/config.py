@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from pntegrity.bounds.ism import MESSAGES, Ism
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover as discover_estimators
-from pntegrity.inertial import InertialConfig, usual_monitors
+from pntegrity.inertial import VEHICLE, InertialConfig, usual_monitors
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import parse_fault
@@ -140,11 +140,13 @@ class RunConfig(InertialConfig):
 
     def _check_sources(self) -> None:
         """Refuse too few and too many files to start from."""
-        if self.fixes is not None:
+        if self.fixes is not None or self.source:
             given = [name for name in ("obs", "nav", "sp3") if getattr(self, name)]
             if given:
-                raise ValueError(f"give `fixes` or `{given[0]}`, not both")
+                raise ValueError(f"give `{'source' if self.source else 'fixes'}` or `{given[0]}`, not both")
             return
+        if self.obs is None and self.estimator == VEHICLE:
+            return  # what is missing then is said with the rest of the vehicle
         if self.obs is None:
             raise ValueError("give observations (--obs), or with --estimator gnss_ins fixes (--fixes)")
         if not self.nav and not self.sp3:
@@ -346,4 +348,6 @@ def _value(value: Any) -> str:
         return repr(value)
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value(v) for v in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + "}"
     return json.dumps(str(value))

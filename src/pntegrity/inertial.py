@@ -27,6 +27,7 @@ from pntegrity.physics.time import SECOND_NS, from_iso
 from pntegrity.records import Epoch, FloatArray, Inertial, Observation
 from pntegrity.sensors.imu_spec import read_imu_spec
 from pntegrity.sensors.increments import with_increments
+from pntegrity.vehicle import sources_of
 
 __all__ = [
     "InertialConfig",
@@ -39,11 +40,14 @@ __all__ = [
 ]
 
 ESTIMATOR = "gnss_ins"
+#: The estimator that takes any sources beside the unit.
+VEHICLE = "multi_source"
 #: What only this estimator uses; a value that is none of these says that it is wanted.
 UNUSED: dict[str, tuple[Any, ...]] = {
     "imu": (None,), "fixes": (None,), "factors": (None,), "heading_deg": (None,), "coupling": (None,),
     "zupt": (False,), "lever_arm_m": ((0.0, 0.0, 0.0),), "fix_velocity": (True,),
     "fix_velocity_lag_s": (0.0,),
+    "source": ((),),
 }  # fmt: skip
 #: A lag is believed where this much of the accelerations is explained, and its standard deviation is at most
 #: this, s; lags are looked for up to `MOST_LAG_S`.
@@ -67,7 +71,8 @@ class InertialConfig(BaseModel):
     tight but where `fde` works on fixes, or `fixes` take the place of observations; `fix_floor_m` and
     `fix_floor_mps` are the smallest sigmas that are believed of these; `fix_velocity_lag_s` says by how much
     their velocities are late, `fix_velocity` whether these are used at all. `factors` is a file that
-    ``train-factors`` wrote.
+    ``train-factors`` wrote. `source` describes the sources of ``multi_source``, a table each: `type`, `name`,
+    `file` and the fields of the type.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -89,6 +94,7 @@ class InertialConfig(BaseModel):
     heading_deg: float | None = Field(None, ge=-360.0, le=360.0)
     zupt: bool = False
     factors: Path | None = None
+    source: tuple[dict[str, Any], ...] = ()
 
     def used_coupling(self) -> Coupling:
         """Return the coupling: as given, or what goes with fixes and with the detection."""
@@ -103,11 +109,16 @@ class InertialConfig(BaseModel):
         ValueError
             Naming the field.
         """
+        if estimator == VEHICLE:
+            self._check_vehicle()
+            return
+        wanted = [name for name, unused in UNUSED.items() if getattr(self, name) not in unused]
+        wanted += ["fde"] if self.fde != "ours" else []
+        if self.source:
+            raise ValueError(f"`source` goes with --estimator {VEHICLE}, not {estimator}")
+        if estimator != ESTIMATOR and wanted:
+            raise ValueError(f"`{wanted[0]}` goes with --estimator {ESTIMATOR}, not {estimator}")
         if estimator != ESTIMATOR:
-            given = [name for name, unused in UNUSED.items() if getattr(self, name) not in unused]
-            given += ["fde"] if self.fde != "ours" else []
-            if given:
-                raise ValueError(f"`{given[0]}` goes with --estimator {ESTIMATOR}, not {estimator}")
             return
         if self.imu is None:
             raise ValueError(
@@ -121,9 +132,28 @@ class InertialConfig(BaseModel):
             raise ValueError(
                 "`factors` are thresholds of factor-set detection: they go with --fde factor-set"
             )
+        self._check_mounting()
+        InsOptions(lever_arm_m=self.lever_arm_m, coupling=self.used_coupling(), fde=self.fde)
+
+    def _check_vehicle(self) -> None:
+        """Refuse a vehicle that cannot be: no unit, no source, or a source that is not right."""
+        if self.imu is None:
+            raise ValueError(
+                f"--estimator {VEHICLE} needs an inertial measurement unit: give its table (--imu)"
+            )
+        if not self.source:
+            raise ValueError(
+                f"--estimator {VEHICLE} needs sources: a [[source]] table each, in --config FILE"
+            )
+        given = [n for n in ("fixes", "factors", "coupling") if getattr(self, n) is not None]
+        if given:
+            raise ValueError(f"`{given[0]}` goes with --estimator {ESTIMATOR}, not {VEHICLE}")
+        self._check_mounting()
+        sources_of(self.source)
+
+    def _check_mounting(self) -> None:
         mounting(self.imu_axes, self.imu_mount_deg)
         self.origin_ns()
-        InsOptions(lever_arm_m=self.lever_arm_m, coupling=self.used_coupling(), fde=self.fde)
 
     def origin_ns(self) -> int | None:
         """Return the GPS time of second 0 of bare seconds, None where it is not told."""

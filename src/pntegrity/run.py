@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from pntegrity import vehicle
 from pntegrity.config import RunConfig
 from pntegrity.errors import InputError
 from pntegrity.estimators import discover
@@ -65,7 +66,7 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
     """
     if config.imu is not None:
         config.ins_options(config.variant)  # its files are read before the long ones
-    loaded = _observed(config) if config.fixes is None else _fixes(config)
+    loaded = _observed(config) if config.obs is not None else _said(config)
     if config.imu is not None:
         notes: list[str] = []
         epochs = with_imu(config, loaded.epochs, options_for(config, loaded), notes)
@@ -84,13 +85,16 @@ def _observed(config: RunConfig) -> GnssEpochs:
     return replace(loaded, notes=table.notes + loaded.notes)
 
 
-def _fixes(config: RunConfig) -> GnssEpochs:
+def _said(config: RunConfig) -> GnssEpochs:
+    """Return a receiver's own fixes, or what the sources of a vehicle said."""
     notes: list[str] = []
-    epochs = fixes_of(config, notes)
+    epochs = vehicle.loaded(config.source, notes) if config.source else fixes_of(config, notes)
+    if not epochs:
+        raise InputError("no source said anything", hint="See the files of the [[source]] tables")
     start, end = _span(config, epochs[0].t_ns)
     inside = [e for e in epochs if (start is None or e.t_ns >= start) and (end is None or e.t_ns <= end)]
     if not inside:
-        raise InputError("no fix lies between --start and --end", path=config.fixes)
+        raise InputError("nothing lies between --start and --end", path=config.fixes)
     return GnssEpochs(tuple(inside), tuple(notes), None)
 
 
@@ -183,6 +187,7 @@ def options_for(config: RunConfig, loaded: GnssEpochs, noise: NoiseModel | None 
         klobuchar=loaded.klobuchar,
         doppler=config.doppler, motion=config.motion, max_gap_s=discover()[config.estimator].max_gap_s,
         ins=config.ins_options(config.variant) if config.imu is not None else InsOptions(),
+        sources=vehicle.sources_of(config.source),
     )  # fmt: skip
 
 

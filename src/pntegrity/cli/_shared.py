@@ -193,7 +193,7 @@ def build_config(values: dict[str, Any]) -> RunConfig:
     merged |= given
     precise = any(merged.get(name) for name in ("sp3", "clk", "bias", "antex", "blq", "erp"))
     for name in ("obs",) if precise else ("obs", "nav"):
-        if not merged.get(name) and not merged.get("fixes"):
+        if not (merged.get(name) or merged.get("fixes") or merged.get("estimator") == "multi_source"):
             raise InputError(
                 f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config"
             )

@@ -43,7 +43,9 @@ def leave_out(nu: FloatArray, S: FloatArray, limit: float, least: int = 0) -> tu
     """
     if not len(nu):
         return np.zeros(0, dtype=np.int64), 0.0, 0.0
-    passes, first, last = _leave_out(nu, np.ascontiguousarray(S), inverse_definite(S), limit, least)
+    passes, first, last = _leave_out(
+        np.ascontiguousarray(nu), np.ascontiguousarray(S), inverse_definite(S), limit, least
+    )
     return passes, float(first), float(last)
 
 
@@ -94,8 +96,8 @@ def _belonging(nu, S, V, passes, limit):  # type: ignore[no-untyped-def]
     best, least = -1, limit
     for j in range(len(nu)):
         if passes[j] > 0:
-            w = V @ S[:, j]
-            deviation = abs(nu[j] - w @ nu) / np.sqrt(max(S[j, j] - w @ S[:, j], 1e-300))
+            w = V @ S[j]
+            deviation = abs(nu[j] - w @ nu) / np.sqrt(max(S[j, j] - w @ S[j], 1e-300))
             if deviation < least:
                 best, least = j, deviation
     return best

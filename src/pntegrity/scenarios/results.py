@@ -244,8 +244,8 @@ them.""",
         "multi-level",
         "Several sources beside an INS, simulated: which one, which sensor, when is it back",
         """The linear study of INS, GNSS, LBL and USBL, 200 s at 2 Hz, 200 runs of each case, with a seed on
-which no rule was chosen; the rules of identification, the noise of the USBL angles and the rates were chosen on
-another seed of the same cases.""",
+which no rule was chosen; the rules of identification, the noise of the USBL angles and the rates were
+chosen on another seed of the same cases.""",
         from_module("reproduce_multi_level", "multi_level"),
         real=False,
     ),
