@@ -192,8 +192,9 @@ def build_config(values: dict[str, Any]) -> RunConfig:
             given[field] = _triple(option, given.pop(option), what)
     merged |= given
     precise = any(merged.get(name) for name in ("sp3", "clk", "bias", "antex", "blq", "erp"))
+    instead = merged.get("fixes") or merged.get("source") or merged.get("estimator") == "multi_source"
     for name in ("obs",) if precise else ("obs", "nav"):
-        if not (merged.get(name) or merged.get("fixes") or merged.get("estimator") == "multi_source"):
+        if not merged.get(name) and not instead:
             raise InputError(
                 f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config"
             )
