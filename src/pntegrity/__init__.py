@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from pntegrity.monitors.factor_set import FactorSetTest
     from pntegrity.monitors.glr import Glr
     from pntegrity.monitors.rctm import Rctm
+    from pntegrity.monitors.sensor_window import SensorWindow
     from pntegrity.monitors.separation import Separation
+    from pntegrity.monitors.source_separation import SourceSeparation
     from pntegrity.monitors.sraime import Sraime
     from pntegrity.monitors.srctm import Srctm
     from pntegrity.pipeline import Pipeline
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.4.0"
 __all__ = [
-    "Aime", "FactorSetTest", "Glr", "Ism", "Pipeline", "Rctm", "Separation", "Sraime", "Srctm", "Update",
-    "Verdict", "Watch", "__version__",
+    "Aime", "FactorSetTest", "Glr", "Ism", "Pipeline", "Rctm", "SensorWindow", "Separation",
+    "SourceSeparation", "Sraime", "Srctm", "Update", "Verdict", "Watch", "__version__",
 ]  # fmt: skip
 
 _HOME = {
@@ -35,7 +37,9 @@ _HOME = {
     "Ism": "bounds.ism",
     "Pipeline": "pipeline",
     "Rctm": "monitors.rctm",
+    "SensorWindow": "monitors.sensor_window",
     "Separation": "monitors.separation",
+    "SourceSeparation": "monitors.source_separation",
     "Sraime": "monitors.sraime",
     "Srctm": "monitors.srctm",
     "Update": "records",

@@ -78,3 +78,7 @@ def test_what_does_not_go_together_is_refused(vehicle, pnt, tmp_path):
     assert pnt("run", "--config", vehicle(imu=""), *out).refused("inertial")
     assert pnt("run", "--config", vehicle(estimator='"gnss_ins"'), *out).refused("source", "multi_source")
     assert pnt("run", "--config", vehicle(), "--fixes", tmp_path / "bow.csv", *out).refused("fixes")
+
+
+def test_nothing_of_it_can_be_calibrated(vehicle, pnt, tmp_path):
+    assert pnt("calibrate", "--config", vehicle(), "--out", tmp_path / "noise.toml").refused("nothing to fit")

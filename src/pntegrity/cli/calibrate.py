@@ -23,6 +23,7 @@ def command(out: Path, split: float, **values: Any) -> int:
     from rich.console import Console
 
     from pntegrity.config import write_noise
+    from pntegrity.errors import InputError
     from pntegrity.estimators import discover
     from pntegrity.evaluate.calibrate import calibrate
     from pntegrity.evaluate.calibration_table import calibration_facts, calibration_table
@@ -30,6 +31,8 @@ def command(out: Path, split: float, **values: Any) -> int:
     from pntegrity.run import load_epochs, options_for
 
     config = build_config(values)
+    if not discover()[config.estimator].fitted:
+        raise InputError(f"--estimator {config.estimator} has no noise model of its own: nothing to fit")
     loaded = load_epochs(config)
     with progress_bar() as progress:
         result = calibrate(
