@@ -32,7 +32,10 @@ def command(out: Path, split: float, **values: Any) -> int:
 
     config = build_config(values)
     if not discover()[config.estimator].fitted:
-        raise InputError(f"--estimator {config.estimator} has no noise model of its own: nothing to fit")
+        raise InputError(
+            f"--estimator {config.estimator}: nothing to fit",
+            hint="Its noise cannot be calibrated; give a [noise] table in the file of --config",
+        )
     loaded = load_epochs(config)
     with progress_bar() as progress:
         result = calibrate(

@@ -15,7 +15,7 @@ from pntegrity.estimators._ins_motion import advance, is_lost
 from pntegrity.estimators._ins_start import align, begun
 from pntegrity.estimators._usual import Usual
 from pntegrity.records import Epoch, Prior, State, Update
-from pntegrity.sensors.noise import CITY, Fitted, NoiseModel
+from pntegrity.sensors.noise import CITY, NoiseModel
 
 __all__ = ["GnssIns"]
 
@@ -48,15 +48,6 @@ class GnssIns(Usual):
     max_gap_s: ClassVar[float] = 600.0
     monitors: ClassVar[tuple[str, ...]] = ("factor_set", "separation")
     monitoring: ClassVar[dict[str, dict[str, Any]]] = {"separation": {"pairs": False, "levels": "observed"}}
-    settle_s: ClassVar[float] = 30.0
-    fitted: ClassVar[tuple[Fitted, ...]] = (
-        Fitted("doppler_mps", 5e-3, 5.0),
-        Fitted("code_multipath_m", 0.05, 30.0, kind="slow"),
-        Fitted("code_white_m", 0.01, 30.0, kind="white"),
-        Fitted("code_multipath_tau_s", 1.5, 300.0, size="code_multipath_m"),
-        Fitted("clock_m", 1e-4, 10.0),
-        Fitted("clock_drift_mps", 1e-4, 10.0),
-    )
     surroundings: ClassVar[Literal["open", "city"]] = "city"
     options: GnssOptions = field(default_factory=GnssOptions)
 
