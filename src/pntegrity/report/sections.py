@@ -48,6 +48,8 @@ def section_columns(outcomes: Sequence[Outcome], facts: RunFacts, inertial: bool
     """
     if not (inertial or facts.sections or any(o.update.screening is not None for o in outcomes)):
         return {}
+    if not facts.sections and not any(from_gnss(o.update) for o in outcomes):
+        return {}  # sources that are no satellites have no sky
     age = _age_s(outcomes)
     labels = _given(facts.sections, len(outcomes)) if facts.sections else _told(outcomes, age)
     return {"section": pl.Series(labels, dtype=pl.String), "gnss_age_s": column(age)}

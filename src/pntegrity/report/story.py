@@ -25,6 +25,7 @@ from pntegrity.report.protection import Protected, protected
 from pntegrity.report.sentences import OFTEN, Sentence, clock_time, names, span_text
 from pntegrity.report.tables import solution
 from pntegrity.report.units import length, level_text
+from pntegrity.states import is_satellite
 
 __all__ = ["Absence", "absences", "cause_text", "story"]
 
@@ -134,7 +135,9 @@ def _events(at: list[tuple[Outcome, str]], date: bool) -> Iterator[Sentence]:
 def _started(o: Outcome, words: str) -> str:
     untested = [v.monitor.upper() for v in o.verdicts if v.status == "unavailable"]
     test = "no test possible" if len(untested) == len(o.verdicts) else f"no test yet by {names(untested)}"
-    source = "a fix" if FIX in groups_in(o.update.keys) else f"{_satellites(o)} satellites"
+    groups = groups_in(o.update.keys)
+    by_satellites = all(map(is_satellite, groups)) and FIX not in groups
+    source = f"{len(groups)} satellites" if by_satellites else "a fix" if FIX in groups else names(groups)
     text = f"filter started from {source}" + (f" ({words})" if words else "")
     return text + (f"; {test}" if untested else "")
 
