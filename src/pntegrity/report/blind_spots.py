@@ -50,9 +50,21 @@ def blind_spots(
         spots = _precise(noise, motion, monitors)
     elif estimator == "gnss_ins":
         spots = _inertial(noise, ins or InsOptions())
+    elif estimator == "multi_source":
+        spots = SOURCES
     else:
         spots = _code(noise)
     return (*spots, *(_products(noise) if estimator == "ppp_rtk" else ()), *_separation(monitors))
+
+
+SOURCES = (
+    "A source that nothing contradicts is believed: a slow error of the only one that tells a direction "
+    "moves "
+    "the position with it, as far as the INS does not hold against it.",
+    "Errors of a source are taken for white. One that lasts is believed a little more with each measurement, "
+    "and the standard deviation becomes too small.",
+    "Where all sources are silent the INS carries the position on, and nothing tests it.",
+)
 
 
 def _inertial(noise: NoiseModel, ins: InsOptions) -> tuple[str, ...]:
