@@ -6,13 +6,21 @@ from pathlib import Path
 
 import click
 
+#: Noise realisations of an experiment where nothing else is asked for.
+USUAL = {"sraime-spp": 20, "sraime-ppp": 20, "ppp-rtk": 20, "factor-set": 3, "multi-level": 200}
+
 
 @click.command("reproduce", help="Run a published experiment and show its figures beside the published ones.")
-@click.argument("experiment", type=click.Choice(["sraime-spp", "sraime-ppp", "ppp-rtk", "factor-set"]))
+@click.argument("experiment", type=click.Choice(list(USUAL)))
 @click.option(
     "--json", "as_json", is_flag=True, help='Print {"rows": [{"quantity", "published", "measured", "ok"}]}.'
 )
-@click.option("--seeds", type=click.IntRange(1), show_default="20; factor-set 3", help="Noise realisations.")
+@click.option(
+    "--seeds",
+    type=click.IntRange(1),
+    show_default="20; factor-set 3, multi-level 200",
+    help="Noise realisations.",
+)
 @click.option(
     "--data",
     type=click.Path(path_type=Path),
@@ -21,26 +29,14 @@ import click
 )
 def command(experiment: str, as_json: bool, seeds: int | None, data: Path | None) -> int:
     """Reproduce an experiment."""
+    from importlib import import_module
+
     from threadpoolctl import threadpool_limits
 
-    from pntegrity.scenarios import (
-        reproduce_factor_set,
-        reproduce_ppp_rtk,
-        reproduce_sraime_ppp,
-        reproduce_sraime_spp,
-    )
-
-    usual = 3 if experiment == "factor-set" else 20
-    seeds = usual if seeds is None else seeds
+    module = import_module(f"pntegrity.scenarios.reproduce_{experiment.replace('-', '_')}")
+    more = {"data": data} if experiment in ("sraime-ppp", "ppp-rtk", "factor-set") else {}
     with threadpool_limits(1, user_api="blas"):
-        if experiment == "sraime-ppp":
-            result = reproduce_sraime_ppp.reproduce(seeds, data=data)
-        elif experiment == "ppp-rtk":
-            result = reproduce_ppp_rtk.reproduce(seeds, data=data)
-        elif experiment == "factor-set":
-            result = reproduce_factor_set.reproduce(seeds, data=data)
-        else:
-            result = reproduce_sraime_spp.reproduce(seeds)
+        result = module.reproduce(USUAL[experiment] if seeds is None else seeds, **more)
     if as_json:
         click.echo(result.to_json())
         return 0
