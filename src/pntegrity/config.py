@@ -145,7 +145,7 @@ class RunConfig(InertialConfig):
             if given:
                 raise ValueError(f"give `{'source' if self.source else 'fixes'}` or `{given[0]}`, not both")
             return
-        if self.obs is None and (self.estimator == VEHICLE or self.source):
+        if self.obs is None and self.estimator == VEHICLE:
             return  # what is missing then is said with the rest of the vehicle
         if self.obs is None:
             raise ValueError("give observations (--obs), or with --estimator gnss_ins fixes (--fixes)")

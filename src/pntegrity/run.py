@@ -220,23 +220,23 @@ def release(outcome: Outcome) -> None:
         update.release()
 
 
-def _protection(config: RunConfig) -> dict[str, Any]:
+def _protection(config: RunConfig, monitors: Sequence[Any]) -> dict[str, Any]:
     """Return what the protection levels assume, and how they are made; empty where there are none."""
-    made = next((m for m in config.build_monitors() if m.name == "separation"), None)
+    made = next((m for m in monitors if m.name == "separation"), None)
     return {} if made is None else config.ism_model().to_table() | {"levels": made.levels}
 
 
 def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], interrupted: bool) -> RunFacts:
-    noise = config.noise_model()
+    noise, monitors = config.noise_model(), config.build_monitors()
     return RunFacts(
         estimator=config.estimator,
         config=config.model_dump(mode="json"),
         noise_name=noise.name,
         blind_spots=blind_spots(
-            config.estimator, noise, config.motion, config.build_monitors(), options_for(config, loaded).ins
+            config.estimator, noise, config.motion, monitors, options_for(config, loaded).ins
         ),
         products=loaded.products,
-        protection=_protection(config),
+        protection=_protection(config, monitors),
         **_truth(config, [o.t_ns for o in outcomes]),
         notes=loaded.notes,
         faults=tuple(describe(parse_fault(f)) for f in config.faults),

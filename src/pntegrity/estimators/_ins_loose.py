@@ -18,14 +18,12 @@ from pntegrity.estimators._gnss import (
     velocity_of,
     without,
 )
-from pntegrity.estimators._ins_motion import Moved
+from pntegrity.estimators._ins_motion import Moved, inertial_prior
 from pntegrity.estimators._ins_solution import antenna, arm_slopes, with_aside
 from pntegrity.estimators._ins_still import standing, zero_velocity
 from pntegrity.kernels.factor_set import screen_factor_set
-from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.lsr import screen_lsr, screen_none
 from pntegrity.kernels.snapshot_fix import Fix, Pseudoranges
-from pntegrity.kernels.sparse import sandwich
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update, group_of
 
@@ -38,13 +36,8 @@ SCREENS = {"factor-set": screen_factor_set, "lsr": screen_lsr, "none": screen_no
 
 def predict(state: State, moved: Moved, epoch: Epoch, dt: float, options: GnssOptions) -> Prior:
     """Return the prior after a step of the INS."""
-    n = len(state)
     aside = state.aside.with_(C=moved.C, rate_radps=moved.rate_radps)
-    mean = state.mean.copy()
-    mean[:3], mean[3:6], mean[state.layout.block("att")] = moved.position_m, moved.velocity_mps, 0.0
-    F, Q = moved.F[:n, :n], moved.Q[:n, :n]
-    P = symmetric(sandwich(F, state.P) + Q)
-    return Prior(State(epoch.t_ns, mean, P, state.layout, aside), F, Q, 0, moved.events)
+    return inertial_prior(state, moved, aside, epoch.t_ns)
 
 
 def correct(prior: Prior, epoch: Epoch, options: GnssOptions, exclude: frozenset[str]) -> Update:

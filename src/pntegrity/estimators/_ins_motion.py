@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pntegrity.estimators._ins_options import InsOptions
-from pntegrity.estimators._ins_solution import attitude_now, mean_of
+from pntegrity.estimators._ins_solution import Aside, attitude_now, mean_of
+from pntegrity.kernels.linear import symmetric
+from pntegrity.kernels.sparse import sandwich
 from pntegrity.kernels.strapdown import mechanise
-from pntegrity.records import FloatArray, Inertial, State
+from pntegrity.records import FloatArray, Inertial, Prior, State
 from pntegrity.sensors.gnss import EARTH_RATE_RADPS
 
-__all__ = ["Moved", "advance", "is_lost"]
+__all__ = ["Moved", "advance", "inertial_prior", "is_lost"]
 
 #: What a vehicle may do while its IMU says nothing: white acceleration (m/s^1.5), turning about the vertical
 #: and tilting (rad/sqrt(s)).
@@ -89,3 +92,28 @@ def is_lost(state: State, moved: Moved) -> bool:
     """Tell whether increments were missing for so long that what is known of the attitude helps no more."""
     at = state.layout.block("att")
     return float(np.sum(state.P[at, at]) + np.trace(moved.Q[6:9, 6:9])) > LOST_RAD**2
+
+
+def inertial_prior(state: State, moved: Moved, aside: Aside, t_ns: int, walks: Sequence[float] = ()) -> Prior:
+    """Return the prior of a filter whose states are those of the INS, and behind them some that walk.
+
+    Parameters
+    ----------
+    state : State
+        The posterior before.
+    moved : Moved
+    aside : Aside
+        What stands beside the prior.
+    t_ns : int
+    walks : sequence of float
+        Random walks of the last states, in their units/sqrt(s).
+    """
+    n, k = len(state), len(state) - len(walks)
+    F, Q = np.eye(n), np.zeros((n, n))
+    F[:k, :k], Q[:k, :k] = moved.F[:k, :k], moved.Q[:k, :k]
+    dt = (t_ns - state.t_ns) * 1e-9
+    Q[range(k, n), range(k, n)] = [walk**2 * dt for walk in walks]
+    mean = state.mean.copy()
+    mean[:3], mean[3:6], mean[state.layout.block("att")] = moved.position_m, moved.velocity_mps, 0.0
+    P = symmetric(sandwich(F, state.P) + Q)
+    return Prior(State(t_ns, mean, P, state.layout, aside), F, Q, 0, moved.events)

@@ -27,6 +27,12 @@ def no_prior(t_ns: int, n_old: int, events: tuple[str, ...]) -> Prior:
     return Prior(State.empty(t_ns), np.zeros((0, n_old)), np.zeros((0, 0)), events=events)
 
 
+def not_started(prior: Prior) -> Update:
+    """Return the update of an empty prior: no rows, and the last event is the reason."""
+    reason = prior.events[-1] if prior.events else "not started"
+    return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
+
+
 def fix_prior(
     epoch: Epoch, options: GnssOptions, guess_m: FloatArray, n_old: int, noise: NoiseModel,
     events: tuple[str, ...],

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pntegrity.estimators._carrier import PRODUCTS, Names, PreciseRows
 from pntegrity.estimators._gnss import Fix, GnssOptions, snapshot
 from pntegrity.estimators._layout import columns
-from pntegrity.estimators._navigation import no_prior
+from pntegrity.estimators._navigation import no_prior, not_started
 from pntegrity.estimators._precise import (
     jacobian,
     layout_of,
@@ -88,8 +88,7 @@ class PreciseFilter:
         if exclude and len(prior.state) and not prior.F.any():  # the fix behind a start must be without them
             prior = self._start(epoch, prior.state.mean[:3], prior.F.shape[1], prior.events, exclude)
         if not len(prior.state):
-            reason = prior.events[-1] if prior.events else "not started"
-            return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
+            return not_started(prior)
         rows: PreciseRows = prior.context
         few = len(set(rows.names.groups) - exclude - set(PRODUCTS))
         reason = "" if few else "no satellite above the mask"

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
-import numpy as np
-
 from pntegrity.estimators import _ins_loose, _ins_tight
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._ins_alignment import Alignment
 from pntegrity.estimators._ins_motion import advance, is_lost
 from pntegrity.estimators._ins_start import align, begun
+from pntegrity.estimators._navigation import not_started
 from pntegrity.estimators._usual import Usual
 from pntegrity.records import Epoch, Prior, State, Update
 from pntegrity.sensors.noise import CITY, NoiseModel
@@ -90,8 +89,7 @@ class GnssIns(Usual):
     def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
         """Use the epoch's rows but for those of the groups in `exclude` and those that fail detection."""
         if not len(prior.state):
-            reason = prior.events[-1] if prior.events else "not started"
-            return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
+            return not_started(prior)
         step = _ins_tight.correct if self._is_tight else _ins_loose.correct
         return step(prior, epoch, self.options, exclude)
 

@@ -9,12 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pntegrity.estimators._gnss import GnssOptions
-from pntegrity.estimators._ins_motion import Moved, advance
+from pntegrity.estimators._ins_motion import advance, inertial_prior
 from pntegrity.estimators._ins_solution import Aside, attitude_now, with_aside
 from pntegrity.estimators._ins_start import align, begun
+from pntegrity.estimators._navigation import not_started
 from pntegrity.estimators._usual import Usual
-from pntegrity.kernels.linear import symmetric
-from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import Epoch, FloatArray, Layout, Observation, Prior, State, Update, group_of
 from pntegrity.sensors.source import Nuisance, Pose, Source, SourceRows, Track, sensor_of
 
@@ -73,7 +72,7 @@ class MultiSource(Usual):
         aside: Vessel = state.aside
         track = _further(aside.track, epoch.t_ns, moved.position_m, moved.C)
         known = replace(aside, C=moved.C, rate_radps=moved.rate_radps, track=track)
-        return self._stepped(state, moved, epoch, known)
+        return inertial_prior(state, moved, known, epoch.t_ns, [n.walk for n in self._nuisances])
 
     def relax(self, prior: Prior) -> Prior:
         """Return the prior with position and velocity born anew; all else stays known."""
@@ -82,8 +81,7 @@ class MultiSource(Usual):
     def correct(self, prior: Prior, epoch: Epoch, exclude: frozenset[str] = frozenset()) -> Update:
         """Use the rows of all sources but for those in `exclude`."""
         if not len(prior.state):
-            reason = prior.events[-1] if prior.events else "not started"
-            return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
+            return not_started(prior)
         found = [s.rows(o, self._pose(prior.state, s)) for s, o in _observed(self.options.sources, epoch)]
         keys = tuple(k for rows in found for k in rows.keys)
         nu, H, R = _stacked(found, prior.state.layout)
@@ -120,18 +118,6 @@ class MultiSource(Usual):
         vessel = Vessel(aside.C, aside.rate_radps, aside.arm_m, aside.factors, track=track)
         F = np.zeros((n + m, prior.F.shape[1]))
         return replace(prior, state=State(epoch.t_ns, mean, P, layout, vessel), F=F, Q=P)
-
-    def _stepped(self, state: State, moved: Moved, epoch: Epoch, aside: Vessel) -> Prior:
-        own = self._nuisances
-        n, k = len(state), len(state) - len(own)
-        F, Q = np.eye(n), np.zeros((n, n))
-        F[:k, :k], Q[:k, :k] = moved.F[:k, :k], moved.Q[:k, :k]
-        dt = (epoch.t_ns - state.t_ns) * 1e-9
-        Q[range(k, n), range(k, n)] = [x.walk**2 * dt for x in own]
-        mean = state.mean.copy()
-        mean[:3], mean[3:6], mean[state.layout.block("att")] = moved.position_m, moved.velocity_mps, 0.0
-        P = symmetric(sandwich(F, state.P) + Q)
-        return Prior(State(epoch.t_ns, mean, P, state.layout, aside), F, Q, 0, moved.events)
 
     @property
     def _nuisances(self) -> tuple[Nuisance, ...]:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from pntegrity.estimators._gnss import GnssOptions, Rows, rate_rows
-from pntegrity.estimators._navigation import fix_prior, linear_update
+from pntegrity.estimators._navigation import fix_prior, linear_update, not_started
 from pntegrity.estimators._usual import Usual
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update
 from pntegrity.sensors.noise import Fitted
@@ -51,9 +51,7 @@ class Spp(Usual):
         if exclude and len(prior.state):
             prior = self._prior(epoch, prior.state.mean[:3], prior.F.shape[1], exclude)
         if not len(prior.state):
-            return Update.of(
-                prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=prior.events[-1]
-            )
+            return not_started(prior)
         code: Rows = prior.context
         rate = rate_rows(epoch, prior.state.mean[:3], prior.state.mean[3:6], self.options)
         noise = self.options.noise

@@ -12,7 +12,7 @@ import numpy as np
 from pntegrity.estimators._errors import error_kinds
 from pntegrity.estimators._filter import clock_walk, clocks, integrated_walk, next_layout, transition
 from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows
-from pntegrity.estimators._navigation import START_VARIANCE, fix_prior, linear_update
+from pntegrity.estimators._navigation import START_VARIANCE, fix_prior, linear_update, not_started
 from pntegrity.estimators._usual import Usual
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
@@ -94,8 +94,7 @@ class SppKf(Usual):
                 epoch, self.options, prior.state.mean[:3], before, self.options.noise, prior.events, exclude
             )
         if not len(prior.state):
-            reason = prior.events[-1] if prior.events else "not started"
-            return Update.of(prior, (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), reason=reason)
+            return not_started(prior)
         code: Rows = prior.context
         rate = rate_rows(epoch, prior.state.mean[:3], prior.state.mean[3:6], self.options)
         noise = self.options.noise

@@ -45,3 +45,18 @@ def check_block(block: str) -> None:
     """Refuse what is no name of states, and no names joined by ``+``."""
     if not isinstance(block, str) or (block and not all(block.split("+"))):
         raise ValueError(f"`block` must be a name of states such as 'pos', or 'pos+amb', not {block!r}")
+
+
+def check_sets(name: str, most: object, p_identify: float) -> None:
+    """Refuse a largest set of faults that is not 1, 2 or 3, or a probability of not finding them that is
+    none.
+
+    Raises
+    ------
+    ValueError
+        Naming the option and the value.
+    """
+    if not isinstance(most, int) or not 1 <= most <= 3:
+        raise ValueError(f"`{name}` must be a whole number from 1 to 3, not {most!r}")
+    if not 0.0 < p_identify < 0.5:
+        raise ValueError(f"`p_identify` must be a probability below 0.5, not {p_identify!r}")

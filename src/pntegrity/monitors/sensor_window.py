@@ -13,7 +13,7 @@ from pntegrity.kernels.sensor_window import SensorTests, Sets, expanded, sets_of
 from pntegrity.kernels.separation import Subfilters, advance, predicted, replicate
 from pntegrity.kernels.windows import Form, QuadraticTest
 from pntegrity.monitors._explanations import explanations, faulty_sensors, minimal
-from pntegrity.monitors._options import check_epochs, check_test
+from pntegrity.monitors._options import check_epochs, check_sets, check_test
 from pntegrity.monitors._sources import Evidence, name_of_sensor, sensors_of
 from pntegrity.monitors._window import Window, no_redundancy, quadratic_test, unavailable
 from pntegrity.records import FloatArray, Suspect, Update, Verdict
@@ -104,12 +104,9 @@ class SensorWindow:
     def __post_init__(self) -> None:
         check_test(self.p_fa, self.factor, self.variant)
         check_epochs("window", self.window, 1)
-        if not isinstance(self.most, int) or not 1 <= self.most <= 3:
-            raise ValueError(f"`most` must be a whole number from 1 to 3, not {self.most!r}")
+        check_sets("most", self.most, self.p_identify)
         if self.growth not in ("expanded", "restarted"):
             raise ValueError(f"`growth` must be 'expanded' or 'restarted', not {self.growth!r}")
-        if not 0.0 < self.p_identify < 0.5:
-            raise ValueError(f"`p_identify` must be a probability below 0.5, not {self.p_identify!r}")
 
     def start(self) -> SensorMemory:
         """Return the memory of a monitor that has seen nothing."""

@@ -16,7 +16,7 @@ from pntegrity.monitors import _hypotheses
 from pntegrity.monitors._explanations import Explanation, explanations, minimal
 from pntegrity.monitors._hypotheses import HypothesesMemory
 from pntegrity.monitors._members import in_order
-from pntegrity.monitors._options import check_epochs, check_test
+from pntegrity.monitors._options import check_epochs, check_sets, check_test
 from pntegrity.monitors._sources import Evidence, looks, sensors_in, sources_in
 from pntegrity.monitors._window import no_redundancy, unavailable
 from pntegrity.records import FloatArray, Suspect, Update, Verdict, group_of
@@ -97,10 +97,7 @@ class SourceSeparation:
     def __post_init__(self) -> None:
         check_test(self.p_fa, self.factor, self.variant)
         check_epochs("longest", self.longest, 8)
-        if not isinstance(self.together, int) or not 1 <= self.together <= 3:
-            raise ValueError(f"`together` must be a whole number from 1 to 3, not {self.together!r}")
-        if not 0.0 < self.p_identify < 0.5:
-            raise ValueError(f"`p_identify` must be a probability below 0.5, not {self.p_identify!r}")
+        check_sets("together", self.together, self.p_identify)
 
     def start(self) -> SourceMemory:
         """Return the memory of a monitor that has seen nothing."""
@@ -142,7 +139,7 @@ class SourceSeparation:
     def _published(self, memory: SourceMemory, update: Update) -> tuple[Verdict, SourceMemory]:
         if len(update.keys) <= update.consumed:
             return unavailable(self.name, self.variant, update, no_redundancy(update)), self.start()
-        at = sorted(range(len(update.keys)), key=update.keys.__getitem__)  # whatever the order of the rows
+        at = in_order(update.keys)  # whatever the order of the rows
         nu, S = update.nu[at], update.S[np.ix_(at, at)]
         groups = np.array([group_of(update.keys[i]) for i in at])
         found = {g: left_out(nu, S, np.flatnonzero(groups == g)) for g in sorted(set(groups.tolist()))}

@@ -16,8 +16,8 @@ from pntegrity.sensors.source import Pose, SourceRows
 from pntegrity.states import freeze
 
 __all__ = [
-    "Beacon", "Mounted", "Row", "Water", "assemble", "beacon_of", "check_positive", "depth_of", "matrix_of",
-    "variances", "vector",
+    "Beacon", "Mounted", "Row", "Travel", "Water", "assemble", "beacon_of", "check_positive", "depth_of",
+    "matrix_of", "received_ns", "travel", "variances", "vector",
 ]  # fmt: skip
 
 ECEF, GEODETIC = ("x_m", "y_m", "z_m"), ("lat_deg", "lon_deg", "height_m")
@@ -223,6 +223,58 @@ class Mounted(NamedTuple):
             x, C = pose.track.at(t_ns)
         arm = C @ arm_m
         return Mounted(x + arm, C, -skew(arm))
+
+
+class Travel(NamedTuple):
+    """How long a sound was in the water, s, its derivatives by position and attitude, and the reply's
+    delay.
+    """
+
+    time_s: float
+    by_place: FloatArray
+    by_turn: FloatArray
+    delay_s: float
+
+
+def travel(
+    water: Water, o: Observation, i: int, pose: Pose, arm_m: FloatArray, beacon: Beacon, two_way: bool
+) -> Travel:
+    """Return the travel of a row's sound, one way or there and back.
+
+    Parameters
+    ----------
+    water : Water
+    o : Observation
+        `aux` ``"ways"`` goes before `two_way`; ``"t0_ns"`` and ``"received_ns"`` tell when the sound left and
+        came.
+    i : int
+        Which row.
+    pose : Pose
+    arm_m : ndarray, shape (3,)
+    beacon : Beacon
+    two_way : bool
+
+    Raises
+    ------
+    ValueError
+        As `Mounted.at` and `Water.path`.
+    """
+    received = received_ns(o, i)
+    two_way = int(o.aux["ways"][i]) == 2 if "ways" in o.aux else two_way
+    ends = [Mounted.at(pose, received, arm_m)]
+    if two_way:
+        sent = int(o.aux["t0_ns"][i]) if "t0_ns" in o.aux else received - round(float(o.y[i]) * 1e9)
+        ends.append(Mounted.at(pose, sent, arm_m))
+    paths = [water.path(end.position_m, beacon.position_m) for end in ends]
+    turns = [path.slowness_spm @ end.by_turn for path, end in zip(paths, ends, strict=True)]
+    by_place = np.sum([path.slowness_spm for path in paths], axis=0)
+    time = sum(path.time_s for path in paths)
+    return Travel(time, by_place, np.sum(turns, axis=0), beacon.delay_s if two_way else 0.0)
+
+
+def received_ns(o: Observation, i: int) -> int:
+    """Return when a row was received."""
+    return int(o.aux["received_ns"][i]) if "received_ns" in o.aux else o.t_ns
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from pntegrity.physics.acoustics import SoundSpeed
 from pntegrity.records import FloatArray, Observation
 from pntegrity.sensors._acoustic import (
     Beacon,
-    Mounted,
     Row,
     Water,
     assemble,
     beacon_of,
     check_positive,
+    travel,
     variances,
     vector,
 )
@@ -139,7 +139,9 @@ class Lbl:
         repeated = int(o.aux["repeated"][i]) if "repeated" in o.aux else 0
         if self.most_repeats and repeated >= self.most_repeats:
             raise ValueError(f"its value came {repeated} times unchanged")
-        time, H_pos, H_att, delay = self._travel(o, i, pose, beacon)
+        time, H_pos, H_att, delay = travel(
+            self.water, o, i, pose, np.asarray(self.lever_arm_m), beacon, self.two_way
+        )
         scale = float(pose.nuisance.get(self.scale, 0.0))
         k = 1.0 / (1.0 + scale)
         H: dict[str, FloatArray | float] = {"pos": k * H_pos, "att": k * H_att, self.scale: -k * k * time}
@@ -152,20 +154,3 @@ class Lbl:
                 f"beacon {name!r} has no coordinates; there are those of {', '.join(self.places)}"
             )
         return beacon
-
-    def _travel(
-        self, o: Observation, i: int, pose: Pose, beacon: Beacon
-    ) -> tuple[float, FloatArray, FloatArray, float]:
-        """Return the time in the water, its derivatives by position and attitude, and the delay."""
-        arm = np.asarray(self.lever_arm_m)
-        received = int(o.aux["received_ns"][i]) if "received_ns" in o.aux else o.t_ns
-        two_way = int(o.aux["ways"][i]) == 2 if "ways" in o.aux else self.two_way
-        ends = [Mounted.at(pose, received, arm)]
-        if two_way:
-            sent = int(o.aux["t0_ns"][i]) if "t0_ns" in o.aux else received - round(float(o.y[i]) * 1e9)
-            ends.append(Mounted.at(pose, sent, arm))
-        paths = [self.water.path(end.position_m, beacon.position_m) for end in ends]
-        turns = [path.slowness_spm @ end.by_turn for path, end in zip(paths, ends, strict=True)]
-        H_pos = np.sum([path.slowness_spm for path in paths], axis=0)
-        time = sum(path.time_s for path in paths)
-        return time, H_pos, np.sum(turns, axis=0), beacon.delay_s if two_way else 0.0

@@ -21,6 +21,8 @@ from pntegrity.sensors._acoustic import (
     beacon_of,
     check_positive,
     matrix_of,
+    received_ns,
+    travel,
     variances,
     vector,
 )
@@ -131,12 +133,11 @@ class Usbl:
             raise ValueError("known are range, time, bearing and elevation")
         if not np.isfinite(y):
             raise ValueError(f"{y:g} is no measurement")
-        received = int(o.aux["received_ns"][i]) if "received_ns" in o.aux else o.t_ns
-        here = Mounted.at(pose, received, np.asarray(self.lever_arm_m))
+        here = Mounted.at(pose, received_ns(o, i), np.asarray(self.lever_arm_m))
         if what == "range":
             h, H = self._range(here)
         elif what == "time":
-            h, H = self._time(o, i, pose, received, here)
+            h, H = self._time(o, i, pose)
         else:
             return self._angle(o.keys[i], what, y, here, var)
         if y <= 0.0:
@@ -148,18 +149,10 @@ class Usbl:
         length = float(np.linalg.norm(way))
         return length, {"pos": way / length, "att": way / length @ here.by_turn}
 
-    def _time(
-        self, o: Observation, i: int, pose: Pose, received: int, here: Mounted
-    ) -> tuple[float, dict[str, FloatArray]]:
-        two_way = int(o.aux["ways"][i]) == 2 if "ways" in o.aux else self.two_way
-        ends = [here]
-        if two_way:
-            sent = int(o.aux["t0_ns"][i]) if "t0_ns" in o.aux else received - round(float(o.y[i]) * 1e9)
-            ends.append(Mounted.at(pose, sent, np.asarray(self.lever_arm_m)))
-        paths = [self.water.path(end.position_m, self.beacon.position_m) for end in ends]
-        turns = [path.slowness_spm @ end.by_turn for path, end in zip(paths, ends, strict=True)]
-        H = {"pos": np.sum([p.slowness_spm for p in paths], axis=0), "att": np.sum(turns, axis=0)}
-        return sum(p.time_s for p in paths) + (self.beacon.delay_s if two_way else 0.0), H
+    def _time(self, o: Observation, i: int, pose: Pose) -> tuple[float, dict[str, FloatArray]]:
+        arm = np.asarray(self.lever_arm_m)
+        found = travel(self.water, o, i, pose, arm, self.beacon, self.two_way)
+        return found.time_s + found.delay_s, {"pos": found.by_place, "att": found.by_turn}
 
     def _angle(self, key: str, what: str, y: float, here: Mounted, var: float) -> Row:
         if abs(y) > LARGEST_ANGLE_RAD:
