@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from pntegrity.kernels.signatures import is_rate
 from pntegrity.kernels.subsets import search
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.records import FloatArray, Suspect, Update, Verdict, group_of
+from pntegrity.states import sensor_of
 from pntegrity.verdicts import SEPARATION
 
 #: First parts of the names of the states that all rows of an epoch share.
@@ -64,6 +66,17 @@ class Policy:
     trust_prior : bool
         True: rows that contradict the prior are at fault, also where all of them agree with each other: the
         prior is that of an inertial unit, whose errors are known, and not of a guess how the receiver moves.
+    identifying : tuple of str
+        Monitors whose word is final: who they name is left out, a source or its sensors where they tell
+        these, and nobody where they say that others may be at fault as well.
+    proof : str
+        How who was left out proves itself: by ``"residuals"`` that were small for `proof_s`, by ``"passes"``
+        (`passes` epochs in a row in which the w-tests of all its rows pass), or by a ``"trial"`` of the
+        filter that uses it (`proving`).
+    p_readmit, p_refuse : float
+        A trial passes a row that is still off as it was with at most the first, and refuses who is healthy
+        with at most the second, where it is long enough. Both tests of passes refuse with the second.
+    passes : int
     reacquire_s : float
         With `trust_prior`: a group without which nothing was measured returns after this long, whatever its
         residuals, and position and velocity start anew at it; the prior is then not trusted for `forget_s`.
@@ -82,12 +95,17 @@ class Policy:
     restart_s: float = 30.0
     restart_epochs: int = 30
     trust_prior: bool = False
+    identifying: tuple[str, ...] = ()
+    proof: Literal["residuals", "passes", "trial"] = "residuals"
+    p_readmit: float = 1e-3
+    p_refuse: float = 1e-2
+    passes: int = 5
     reacquire_s: float = float("inf")
 
 
 @dataclass(frozen=True)
 class Standing:
-    """A group that is left out at present.
+    """A group, or a sensor of a source (``"lbl.AP1"``), that is left out at present.
 
     Parameters
     ----------
@@ -108,6 +126,8 @@ class Standing:
         still there, as far as anyone can tell.
     times : int
         How often it was excluded before, this one included.
+    count : int
+        Epochs with rows of its own in which its residuals were small, in a row.
     """
 
     since_ns: int
@@ -119,6 +139,7 @@ class Standing:
     rows: tuple[tuple[str, float], ...] = ()
     doubtful: bool = False
     gain: float = 0.0
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -164,8 +185,12 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     these are consistent, or a windowed monitor dates the fault before this epoch, its first suspect is
     followed back to its onset. The suspects of a monitor that carries subfilters come first: one whose own
     subfilter passes its tests, else the smallest consistent subset, else the best of them. Where the policy
-    trusts the prior, the only group of an epoch can be at fault as well.
+    trusts the prior, the only group of an epoch can be at fault as well. Before all others
+    come monitors that identify, where there are any.
     """
+    naming = [v for v in verdicts if v.status == "alert" and v.suspects and v.monitor in policy.identifying]
+    if naming:
+        return _from_names(update, naming)
     if policy.trust_prior and len(update.groups()) == 1:
         return _from_prior(update, verdicts, policy, previous_ns)
     if not policy.trust_prior and dynamics_failed(update, policy.p_fa):
@@ -198,6 +223,41 @@ def _from_prior(update: Update, verdicts: Sequence[Verdict], policy: Policy, pre
         update.t_ns, group, verdict.monitor, verdict.statistic, size, "bias", update.t_ns, rows=rows
     )
     return Decision((only,), update.t_ns)
+
+
+def _from_names(update: Update, alerts: Sequence[Verdict]) -> Decision:
+    """Return who is named without another who may be at fault as well: whole sources, or the sensors of one
+    where a monitor names these and the source has others.
+    """
+    clear = [v for v in alerts if not v.ambiguous and len(v.suspects) == 1]
+    chosen = min(clear, key=lambda v: len(v.suspects[0].groups), default=None)
+    if chosen is None:
+        return Decision(reason=_unclear(alerts))
+    suspect = chosen.suspects[0]
+    told = [v.suspects[0].sensors for v in (*clear[::-1], chosen) if v.suspects[0].groups == suspect.groups]
+    names = _names(update, suspect.groups, next((s for s in told if s), ()))
+    made = (
+        Exclusion(
+            update.t_ns, n, chosen.monitor, suspect.statistic, suspect.size, suspect.kind, suspect.onset_ns
+        )
+        for n in names
+    )
+    return Decision(tuple(made), suspect.onset_ns)
+
+
+def _names(update: Update, groups: tuple[str, ...], sensors: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what is left out: sensors (``"lbl.AP1"``) where a part of one source is at fault."""
+    there = {sensor_of(k) for k in update.keys if group_of(k) in groups}
+    if len(groups) == 1 and sensors and there - set(sensors):
+        return tuple(f"{groups[0]}.{s}" for s in sensors)
+    return groups
+
+
+def _unclear(alerts: Sequence[Verdict]) -> str:
+    """Say who may be at fault, and that nobody is left out."""
+    best = max(alerts, key=lambda v: v.statistic / v.threshold)
+    sets = dict.fromkeys("+".join(s.groups) for s in best.suspects)
+    return f"ambiguous: at fault may be {' or '.join(sets)}; nothing is left out"
 
 
 def _is_separation(verdict: Verdict) -> bool:

@@ -7,32 +7,22 @@ verdicts.
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide
 from pntegrity.protocols import Estimator, Monitor, Switching, memory_for
+from pntegrity.proving import Past, Proof, prove
 from pntegrity.readmission import distrusting, left_out, reacquired, review
-from pntegrity.records import Epoch, State, Status, Update, Verdict, group_of, join_reasons
+from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
+from pntegrity.states import is_left_out
 
 #: A blunder larger than this moves a start so far that its linearisation blames others too, m.
 FAR_M = 1000.0
 
 __all__ = ["Checkpoint", "Outcome", "Pipeline", "uncollected"]
-
-
-@dataclass(frozen=True, eq=False)
-class Past:
-    """What a repair needs of one epoch: the state before it, the epoch, who was left out, whether its prior
-    was relaxed.
-    """
-
-    before: State
-    epoch: Epoch
-    excluded: frozenset[str]
-    relaxed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +45,9 @@ class Outcome:
     Parameters
     ----------
     status : str
-        ``alert`` where a monitor still alarms after exclusion, ``unavailable`` where none could test, else
-        ``ok``.
+        ``alert`` where a monitor still alarms after exclusion, or a protection level is above its alert limit
+        (`Verdict.beyond`: nobody is at fault then, and nobody is left out); ``unavailable`` where none could
+        test, else ``ok``.
     updates : tuple of Update
         What was committed: the epoch's update, after those of the past that a repair made anew.
     rewound : int
@@ -66,6 +57,8 @@ class Outcome:
     exclusions : tuple of Exclusion
     readmitted : tuple of str
     reason : str
+    proofs : tuple of Proof
+        Tests of those who are left out.
     """
 
     t_ns: int
@@ -77,6 +70,7 @@ class Outcome:
     exclusions: tuple[Exclusion, ...] = ()
     readmitted: tuple[str, ...] = ()
     reason: str = ""
+    proofs: tuple[Proof, ...] = ()
 
     @property
     def update(self) -> Update:
@@ -259,9 +253,14 @@ class Pipeline:
             standing[e.group] = Standing(
                 e.onset_ns, epoch.t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful
             )
-        present = frozenset(group_of(k) for o in epoch.observations for k in o.keys)
         step_s = _step_s(now, epoch.t_ns)
-        after = review(standing, update, present, self.policy, step_s)
+        history = last.history[-self.policy.history :]
+
+        def trial(name: str, s: Standing) -> Proof:
+            return prove(self.estimator, history, name, s, self.policy)
+
+        present = _present(epoch, standing)
+        after, proofs = review(standing, update, present, self.policy, step_s, trial)
         back = reacquired(after, update, self.policy)
         after = {g: s for g, s in after.items() if g not in back}
         readmitted = tuple(g for g in standing if g not in after)
@@ -274,7 +273,7 @@ class Pipeline:
         checkpoint = Checkpoint(
             State.empty(epoch.t_ns) if stuck else update.posterior,
             last.memories,
-            () if stuck else last.history[-self.policy.history :],
+            () if stuck else history,
             {} if stuck else after,
             counts,
             None if stuck else since,
@@ -289,9 +288,21 @@ class Pipeline:
             last.verdicts,
             first.verdicts, made,
             readmitted,
-            join_reasons([reason or told, update.reason]) if doubt else reason or update.reason,
+            join_reasons(
+                [
+                    *(v.beyond for v in last.verdicts),
+                    join_reasons([reason or told, update.reason]) if doubt else reason or update.reason,
+                ]
+            ),
+            proofs,
         )  # fmt: skip
         return outcome, checkpoint
+
+
+def _present(epoch: Epoch, names: Iterable[str]) -> frozenset[str]:
+    """Return which of some groups and sensors were measured."""
+    keys = [k for o in epoch.observations for k in o.keys]
+    return frozenset(n for n in names if any(is_left_out(k, frozenset([n])) for k in keys))
 
 
 def _left(made: Sequence[Exclusion]) -> frozenset[str]:
@@ -334,7 +345,7 @@ def _alert(verdicts: Sequence[Verdict]) -> bool:
 
 
 def _status(verdicts: Sequence[Verdict], alert: bool) -> Status:
-    if alert:
+    if alert or any(v.beyond for v in verdicts):
         return "alert"
     return "unavailable" if all(v.status == "unavailable" for v in verdicts) else "ok"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from pntegrity.exclusion import Policy, Standing, levels
 from pntegrity.kernels.signatures import is_carrier
+from pntegrity.proving import Proof, is_due, left_out_rows, passes_now
 from pntegrity.records import Update
-from pntegrity.states import ANEW, is_left_out
+from pntegrity.states import ANEW
 
 __all__ = ["distrusting", "left_out", "reacquired", "review"]
 
@@ -27,18 +28,56 @@ def review(
     present: frozenset[str],
     policy: Policy,
     step_s: float = 0.0,
-) -> dict[str, Standing]:
-    """Return the exclusions that go on after an update: groups that proved themselves, or are long gone, drop
-    out.
+    trial: Callable[[str, Standing], Proof] | None = None,
+) -> tuple[dict[str, Standing], tuple[Proof, ...]]:
+    """Return the exclusions that go on after an update, and what tests showed: groups that proved themselves,
+    or are long gone, drop out.
 
-    `step_s` is the time since the epoch before.
+    `step_s` is the time since the epoch before; `trial` makes a trial of who was left out, where the policy
+    has that as its proof.
     """
-    out = {}
+    out, proofs = {}, []
     for group, s in standing.items():
-        now = _reviewed(s, update, group, group in present, policy, step_s)
+        if policy.proof == "residuals":
+            now, proof = _reviewed(s, update, group, group in present, policy, step_s), None
+        else:
+            now, proof = _tested(s, update, group, group in present, policy, trial)
+        proofs += [proof] if proof is not None else []
         if now is not None:
             out[group] = now
-    return out
+    return out, tuple(proofs)
+
+
+def _tested(
+    s: Standing, update: Update, name: str, present: bool, policy: Policy,
+    trial: Callable[[str, Standing], Proof] | None,
+) -> tuple[Standing | None, Proof | None]:  # fmt: skip
+    """Return what goes on of an exclusion that a test may end, and the test."""
+    t_ns = update.t_ns
+    if not len(left_out_rows(update, name)):
+        gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
+        return None if gone else replace(s, seen_ns=t_ns if present else s.seen_ns), None
+    s = replace(s, seen_ns=t_ns, rows=s.rows or _offsets(update, name))
+    if policy.proof == "passes" or trial is None:
+        passed, largest, limit = passes_now(update, name, policy.p_refuse)
+        s = replace(s, count=s.count + 1 if passed else 0)
+        back = s.count >= policy.passes
+        return None if back else s, Proof(name, t_ns, s.count, back, largest, limit)
+    if update.misfit(left_out_rows(update, name)) > policy.proof_sigma:
+        return replace(s, clean_ns=None, count=0), None
+    s = replace(s, clean_ns=s.clean_ns if s.count else t_ns, count=s.count + 1)
+    if not is_due(s.count, s.times):
+        return s, None
+    proof = trial(name, s)
+    if proof.passed:
+        return None, proof
+    return (s if proof.reason else replace(s, clean_ns=None, count=0)), proof
+
+
+def _offsets(update: Update, name: str) -> tuple[tuple[str, float], ...]:
+    """Return by how much the rows of who was left out are off, as the filter without them sees it."""
+    rows = left_out_rows(update, name)
+    return tuple((update.spare_keys[i], float(update.spare_nu[i])) for i in rows)
 
 
 def reacquired(standing: Mapping[str, Standing], update: Update, policy: Policy) -> frozenset[str]:
@@ -65,20 +104,16 @@ def left_out(standing: Mapping[str, Standing]) -> frozenset[str]:
     return frozenset(standing) | {g + ANEW for g, s in standing.items() if s.anew}
 
 
-def _spare_rows(update: Update, group: str) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return which rows left out are those of a group, products about it included, and which of them are no
-    carriers.
-    """
-    out = frozenset([group])
-    rows = [i for i, key in enumerate(update.spare_keys) if is_left_out(key, out)]
-    levels = [i for i in rows if not is_carrier(update.spare_keys[i])]
-    return np.array(rows, dtype=np.intp), np.array(levels, dtype=np.intp)
+def _levels(update: Update, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Return which of some rows left out are no carriers."""
+    return np.array([i for i in rows if not is_carrier(update.spare_keys[i])], dtype=np.intp)
 
 
 def _reviewed(
     s: Standing, update: Update, group: str, present: bool, policy: Policy, step_s: float
 ) -> Standing | None:
-    t_ns, (rows, levels) = update.t_ns, _spare_rows(update, group)
+    t_ns, rows = update.t_ns, left_out_rows(update, group)
+    levels = _levels(update, rows)
     if not len(rows):
         gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
         seen_ns = t_ns if present else s.seen_ns

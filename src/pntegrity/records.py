@@ -342,7 +342,10 @@ class Update:
         for name in ("white", *GAINS):
             self.__dict__.pop(name, None)
 
-    def with_spares(self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, R: FloatArray) -> Update:
+    def with_spares(
+        self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, R: FloatArray,
+        names: tuple[str, ...] | None = None,
+    ) -> Update:  # fmt: skip
         """Return the update with rows left out: residuals against the posterior, and their covariance.
 
         Parameters
@@ -352,13 +355,15 @@ class Update:
             Innovations against the prior and Jacobian of the rows left out.
         R : ndarray, shape (k,) or (k, k)
             Measurement variances, or covariance.
+        names : tuple of str, optional
+            Who is left out; the groups of the rows, where that is not told.
         """
         step = self.posterior.mean - self.prior.mean
         spread = sandwich(H, self.posterior.P) + (np.diag(R) if R.ndim == 1 else R)
-        groups = tuple(dict.fromkeys(map(group_of, keys)))
+        out = tuple(dict.fromkeys(map(group_of, keys))) if names is None else names
         return self.altered(
             spare_keys=keys, spare_nu=nu - H @ step, spare_var=np.diagonal(spread), spare_cov=spread,
-            excluded=groups,
+            excluded=out,
         )  # fmt: skip
 
     def misfit(self, rows: npt.NDArray[np.intp]) -> float:

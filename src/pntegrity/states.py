@@ -18,8 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
     "ANEW", "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out",
-    "is_satellite",
-    "rows_touched_by",
+    "is_satellite", "rows_touched_by", "sensor_of",
 ]  # fmt: skip
 
 
@@ -28,6 +27,13 @@ def group_of(key: str) -> str:
     ``"G05"``).
     """
     return key.partition(":")[0]
+
+
+def sensor_of(key: str) -> str:
+    """Return the sensor within its source: what stands behind the kind (``"lbl:R.AP1"`` -> ``"AP1"``); empty
+    for a source that is one sensor.
+    """
+    return key.partition(":")[2].partition(".")[2]
 
 
 _SATELLITE = re.compile(r"[A-Z]\d\d")
@@ -43,13 +49,13 @@ ANEW = "~"
 
 
 def is_left_out(key: str, groups: frozenset[str]) -> bool:
-    """Tell whether a row goes with the groups that are left out: it is one's own, or a product about one.
+    """Tell whether a row goes with those that are left out: groups, and single sensors of sources.
 
     The row of a product names its satellite after the colon (``"iono:G05"``): it goes with ``"iono"`` and
-    with ``"G05"``.
+    with ``"G05"``. That of a sensor of a source (``"lbl:R.AP1"``) goes with ``"lbl"`` and with ``"lbl.AP1"``.
     """
     group, _, about = key.partition(":")
-    return group in groups or about in groups
+    return group in groups or about in groups or f"{group}.{about.partition('.')[2]}" in groups
 
 
 @lru_cache(maxsize=4096)

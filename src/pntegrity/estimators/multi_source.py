@@ -14,11 +14,16 @@ from pntegrity.estimators._ins_solution import Aside, attitude_now, with_aside
 from pntegrity.estimators._ins_start import align, begun
 from pntegrity.estimators._navigation import not_started
 from pntegrity.estimators._usual import Usual
-from pntegrity.records import Epoch, FloatArray, Layout, Observation, Prior, State, Update, group_of
-from pntegrity.sensors.source import Nuisance, Pose, Source, SourceRows, Track, sensor_of
+from pntegrity.records import Epoch, FloatArray, Layout, Observation, Prior, State, Update
+from pntegrity.sensors.source import Nuisance, Pose, Source, SourceRows, Track
+from pntegrity.states import is_left_out
 
 __all__ = ["MultiSource"]
 
+POLICY: Mapping[str, Any] = {
+    "keep_rows": 0, "most_excluded": 1.0, "restart_s": float("inf"), "history": 240, "trust_prior": True,
+    "identifying": ("source_separation", "sensor_window"), "proof": "trial", "reacquire_s": 60.0,
+}  # fmt: skip
 #: How long ago a signal may have left, s.
 REMEMBERED_S = 12.0
 #: What stands for a fix where no source gives one.
@@ -53,12 +58,16 @@ class MultiSource(Usual):
     """
 
     max_gap_s: ClassVar[float] = 600.0
+    monitors: ClassVar[tuple[str, ...]] = ("source_separation", "sensor_window", "separation")
+    monitoring: ClassVar[dict[str, dict[str, Any]]] = {"separation": {"pairs": False, "levels": "observed"}}
     options: GnssOptions = field(default_factory=GnssOptions)
 
     @property
     def policy(self) -> Mapping[str, Any]:  # type: ignore[override]
-        """What suits the pipeline: the INS goes on without any source, and no restart loses the attitude."""
-        return {"keep_rows": 0, "most_excluded": 1.0, "restart_s": float("inf")}
+        """What suits the pipeline: the INS goes on without any source, and no restart loses the attitude; who
+        is named is left out, until a trial has proved it.
+        """
+        return POLICY
 
     def predict(self, state: State, epoch: Epoch) -> Prior:
         """Return the prior at `epoch`; an empty one as long as position and attitude are not known."""
@@ -85,7 +94,7 @@ class MultiSource(Usual):
         found = [s.rows(o, self._pose(prior.state, s)) for s, o in _observed(self.options.sources, epoch)]
         keys = tuple(k for rows in found for k in rows.keys)
         nu, H, R = _stacked(found, prior.state.layout)
-        used = np.array([not _is_out(k, exclude) for k in keys], dtype=bool)
+        used = np.array([not is_left_out(k, exclude) for k in keys], dtype=bool)
         reason = "" if used.any() else _why(found)
         update = Update.of(
             prior, tuple(k for k, u in zip(keys, used, strict=True) if u), nu[used], H[used],
@@ -93,7 +102,8 @@ class MultiSource(Usual):
         )  # fmt: skip
         if not used.all():
             spare = tuple(k for k, u in zip(keys, used, strict=True) if not u)
-            update = update.with_spares(spare, nu[~used], H[~used], R[np.ix_(~used, ~used)])
+            names = tuple(n for n in sorted(exclude) if any(is_left_out(k, frozenset([n])) for k in spare))
+            update = update.with_spares(spare, nu[~used], H[~used], R[np.ix_(~used, ~used)], names)
         return with_aside(update, _corrected(update.posterior))
 
     def _start(self, old: State, epoch: Epoch, events: tuple[str, ...], n_old: int = 0) -> Prior:
@@ -160,10 +170,6 @@ def _stacked(found: list[SourceRows], layout: Layout) -> tuple[FloatArray, Float
                 H[here, columns] = part
         at = here.stop
     return nu, H, R
-
-
-def _is_out(key: str, exclude: frozenset[str]) -> bool:
-    return group_of(key) in exclude or f"{group_of(key)}.{sensor_of(key)}" in exclude
 
 
 def _why(found: list[SourceRows]) -> str:

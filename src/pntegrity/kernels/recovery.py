@@ -92,11 +92,14 @@ class Trial:
     ----------
     window : sequence of (F, H, L, K)
         The filter with the rows, the oldest first.
-    rows : sequence of ndarray of int
-        The rows to be proved, in each epoch, always the same in number and order.
+    rows : sequence of ndarray of int, each of shape (k,)
+        Where the rows to be proved are in each epoch; -1: not measured then.
     size : ndarray, shape (k,)
         Biases that must not pass.
     p_readmit, p_fa : float
+    least : float
+        Each estimated bias may be at least so many standard deviations, whatever the probability of
+        re-admission then is: for a trial that cannot be longer.
     """
 
     window: tuple[Gains, ...]
@@ -104,6 +107,7 @@ class Trial:
     size: FloatArray
     p_readmit: float
     p_fa: float
+    least: float = -np.inf
 
     def __post_init__(self) -> None:
         if {len(own) for own in self.rows} != {len(self.size)}:
@@ -114,8 +118,10 @@ class Trial:
         """What a bias of each row makes of the whitened innovations, shape (D, k)."""
         A, _ = responses(self.window)
         ends = np.cumsum([0] + [len(H) for _, H, _, _ in self.window])
-        picked = [first + own for first, own in zip(ends, self.rows, strict=False)]
-        return np.stack([A[:, [p[i] for p in picked]].sum(axis=1) for i in range(len(self.size))], axis=1)
+        at = np.stack(
+            [np.where(own < 0, -1, first + own) for first, own in zip(ends, self.rows, strict=False)]
+        )
+        return np.stack([A[:, i[i >= 0]].sum(axis=1) for i in at.T], axis=1)
 
     @property
     def shown(self) -> FloatArray:
@@ -126,7 +132,8 @@ class Trial:
     def limits(self) -> FloatArray:
         """How many standard deviations each estimated bias may be, shape (k,); negative: nothing passes."""
         usual = np.sqrt(chi2_threshold(0.5 * self.p_fa / len(self.size), 1))
-        return np.asarray(np.minimum(usual, self.shown + special.ndtri(self.p_readmit)))
+        proved = self.shown + special.ndtri(self.p_readmit)
+        return np.asarray(np.minimum(usual, np.maximum(proved, self.least)))
 
     @property
     def readmission(self) -> FloatArray:
@@ -141,6 +148,9 @@ class Trial:
     def passed(self, white: FloatArray) -> npt.NDArray[np.bool_]:
         """Tell which runs of whitened innovations, shape (D, runs), pass."""
         total = np.asarray((white * white).sum(axis=0)) <= chi2_threshold(0.5 * self.p_fa, len(white))
+        return np.asarray(total & (self.estimates(white) <= self.limits[:, None]).all(axis=0))
+
+    def estimates(self, white: FloatArray) -> FloatArray:
+        """Return the size of each row's estimated bias in standard deviations, shape (k, runs)."""
         size = np.linalg.norm(self.means, axis=0)[:, None]
-        each = np.abs(self.means.T @ white) / np.where(size > 0.0, size, 1.0)
-        return np.asarray(total & (each <= self.limits[:, None]).all(axis=0))
+        return np.asarray(np.abs(self.means.T @ white) / np.where(size > 0.0, size, 1.0))

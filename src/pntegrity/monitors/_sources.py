@@ -17,9 +17,9 @@ from pntegrity.kernels.bank import LEAST
 from pntegrity.kernels.signatures import Signature, catalogue, is_rate, masks
 from pntegrity.kernels.source_test import Courses, WithoutSource, courses, responses
 from pntegrity.records import FloatArray, Update
-from pntegrity.states import group_of
+from pntegrity.states import group_of, sensor_of
 
-__all__ = ["Evidence", "looks", "name_of_sensor", "sensors_in", "sensors_of", "sources_in"]
+__all__ = ["Evidence", "looks", "sensors_in", "sensors_of", "sources_in"]
 
 IntArray = npt.NDArray[np.intp]
 #: A source with at least so many level sensors may shift as a whole: three determine a position.
@@ -33,17 +33,12 @@ SHIFT = "shift"
 OLD_ENOUGH = 8
 
 
-def name_of_sensor(key: str) -> str:
-    """Return the sensor within its source, empty for a source that is one sensor."""
-    return key.partition(":")[2].partition(".")[2]
-
-
 @lru_cache(maxsize=256)
 def sensors_of(keys: tuple[str, ...]) -> Mapping[str, tuple[str, ...]]:
     """Return the sensors of each source, both sorted."""
     found: dict[str, set[str]] = {}
     for key in keys:
-        found.setdefault(group_of(key), set()).add(name_of_sensor(key))
+        found.setdefault(group_of(key), set()).add(sensor_of(key))
     return {source: tuple(sorted(found[source])) for source in sorted(found)}
 
 
@@ -95,7 +90,7 @@ def _faults(
         own = [i for i, key in enumerate(keys) if group_of(key) == source]
         rows = np.array([i for i in own if not is_rate(keys[i])], dtype=np.intp)
         rates = np.array([i for i in own if is_rate(keys[i])], dtype=np.intp)
-        if len({name_of_sensor(keys[i]) for i in rows}) < SHIFTABLE:
+        if len({sensor_of(keys[i]) for i in rows}) < SHIFTABLE:
             continue
         for at, rate in zip(position, velocity, strict=True):
             shifts.append((len(single) + len(whole), rows, rates, at, rate))
@@ -206,9 +201,7 @@ class Evidence:
         """Return what the window says of the other sensors of a source without some of them."""
         out = frozenset(names)
         named, faults = self.faults
-        rows = [
-            i for i, key in enumerate(self.keys) if group_of(key) == source and name_of_sensor(key) in out
-        ]
+        rows = [i for i, key in enumerate(self.keys) if group_of(key) == source and sensor_of(key) in out]
         others = np.array([self._is_other(s, source, out) for _, s in named])[faults.signature]
         return WithoutSource(_chosen(faults, others), self.A[:, np.array(rows, dtype=np.intp)])
 

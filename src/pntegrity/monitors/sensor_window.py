@@ -14,10 +14,10 @@ from pntegrity.kernels.separation import Subfilters, advance, predicted, replica
 from pntegrity.kernels.windows import Form, QuadraticTest
 from pntegrity.monitors._explanations import explanations, faulty_sensors, minimal
 from pntegrity.monitors._options import check_epochs, check_sets, check_test
-from pntegrity.monitors._sources import Evidence, name_of_sensor, sensors_of
+from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.monitors._window import Window, no_redundancy, quadratic_test, unavailable
 from pntegrity.records import FloatArray, Suspect, Update, Verdict
-from pntegrity.states import group_of
+from pntegrity.states import group_of, sensor_of
 
 __all__ = ["SensorMemory", "SensorWindow", "Watched"]
 
@@ -227,9 +227,7 @@ def _sum(window: Window) -> Form:
 
 def _sensor_of_rows(update: Update, source: str, sensors: tuple[str, ...]) -> npt.NDArray[np.intp]:
     at = {name: i for i, name in enumerate(sensors)}
-    return np.array(
-        [at[name_of_sensor(k)] if group_of(k) == source else -1 for k in update.keys], dtype=np.intp
-    )
+    return np.array([at[sensor_of(k)] if group_of(k) == source else -1 for k in update.keys], dtype=np.intp)
 
 
 def _from_filter(update: Update, members: int) -> Subfilters:

@@ -17,7 +17,8 @@ from pntegrity.kernels.rotations import from_angles
 from pntegrity.physics.frames import enu_rotations
 from pntegrity.records import FloatArray, Observation
 from pntegrity.sensors.lbl import Lbl
-from pntegrity.sensors.source import Pose, Track, sensor_of
+from pntegrity.sensors.source import Pose, Track
+from pntegrity.states import sensor_of
 
 __all__ = ["LOGS", "Residuals", "lbl_of", "open_log", "poses", "residuals", "track_of"]
 

@@ -15,9 +15,8 @@ from pntegrity.kernels.source_test import Gains
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.records import FloatArray
 from pntegrity.scenarios._vessel_runs import Detected, Study
-from pntegrity.sensors.source import sensor_of
 from pntegrity.simulate.ensembles import Filtered, filtered
-from pntegrity.states import group_of
+from pntegrity.states import group_of, sensor_of
 
 __all__ = ["Recovery", "isolated_error", "recovery", "sensor_delays"]
 

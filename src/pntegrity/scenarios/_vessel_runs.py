@@ -19,13 +19,13 @@ from pntegrity.kernels.signatures import Signature, masks
 from pntegrity.monitors import _hypotheses
 from pntegrity.monitors._explanations import Explanation, explanations, faulty_sensors, minimal
 from pntegrity.monitors._hypotheses import HypothesesMemory
-from pntegrity.monitors._sources import Evidence, name_of_sensor, sensors_of
+from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.monitors.source_separation import SourceSeparation
 from pntegrity.records import FloatArray, Update
 from pntegrity.simulate.ensembles import Ensemble, Filtered, draw_ensemble, filtered
 from pntegrity.simulate.linear import LinearModel, gains
 from pntegrity.simulate.vessel import Vessel, vessel_model
-from pntegrity.states import group_of
+from pntegrity.states import group_of, sensor_of
 
 __all__ = ["Case", "Detected", "Study", "facts"]
 
@@ -64,7 +64,7 @@ class Case:
     @property
     def sensors(self) -> frozenset[tuple[str, str]]:
         """Sources and sensors at fault."""
-        return frozenset((group_of(k), name_of_sensor(k)) for k in self.rows)
+        return frozenset((group_of(k), sensor_of(k)) for k in self.rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,8 @@ import numpy as np
 from pntegrity.kernels.rotations import skew
 from pntegrity.records import FloatArray, Observation
 from pntegrity.sensors._acoustic import Row, assemble, check_positive, matrix_of, variances, vector
-from pntegrity.sensors.source import Nuisance, Pose, SourceRows, sensor_of
+from pntegrity.sensors.source import Nuisance, Pose, SourceRows
+from pntegrity.states import sensor_of
 
 __all__ = ["Dvl"]
 

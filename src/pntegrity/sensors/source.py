@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import atan2, sqrt
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
+from pntegrity.kernels.rotations import rotation
 from pntegrity.records import FloatArray, Observation
 from pntegrity.states import freeze
 
-__all__ = ["Nuisance", "Pose", "Source", "SourceRows", "Track", "sensor_of"]
+__all__ = ["Nuisance", "Pose", "Source", "SourceRows", "Track"]
 
-
-def sensor_of(key: str) -> str:
-    """Return the sensor within its source: what stands behind the kind (``"lbl:R.AP1"`` -> ``"AP1"``)."""
-    return key.partition(":")[2].partition(".")[2]
+#: Below this sine a turn is its sine.
+SMALL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,15 +36,31 @@ class Track:
         freeze(self, "position_m", "C")
 
     def at(self, t_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Return position, interpolated linearly, and the attitude next to a time; the ends hold beyond them.
+        """Return position and attitude, between its times on a straight line and at a constant rate of turn;
+        the ends hold beyond them.
 
         Parameters
         ----------
         t_ns : int
         """
-        x = np.array([np.interp(t_ns, self.t_ns, self.position_m[:, i]) for i in range(3)])
-        near = int(np.argmin(np.abs(self.t_ns - t_ns)))
-        return x, np.asarray(self.C[near])
+        j = int(np.searchsorted(self.t_ns, t_ns))
+        if j == len(self.t_ns) or j == 0 or self.t_ns[j] == t_ns:
+            j = min(j, len(self.t_ns) - 1)
+            return np.asarray(self.position_m[j]), np.asarray(self.C[j])
+        i, start, step = j - 1, self.t_ns[j - 1], self.t_ns[j] - self.t_ns[j - 1]
+        share = float((t_ns - start) / step)
+        x = (1.0 - share) * self.position_m[i] + share * self.position_m[j]
+        turn = _turn_of(self.C[i].T @ self.C[j])
+        return x, np.asarray(self.C[i] @ rotation(share * turn))
+
+
+def _turn_of(C: FloatArray) -> FloatArray:
+    """Return the rotation vector of a turn of less than half a circle."""
+    twice = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
+    sine = 0.5 * sqrt(float(twice @ twice))
+    return twice * (
+        0.5 if sine < SMALL else 0.5 * atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0)) / sine
+    )
 
 
 @dataclass(frozen=True, eq=False)

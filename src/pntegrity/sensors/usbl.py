@@ -26,7 +26,8 @@ from pntegrity.sensors._acoustic import (
     variances,
     vector,
 )
-from pntegrity.sensors.source import Nuisance, Pose, SourceRows, sensor_of
+from pntegrity.sensors.source import Nuisance, Pose, SourceRows
+from pntegrity.states import sensor_of
 
 __all__ = ["Usbl"]
 

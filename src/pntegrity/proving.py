@@ -1,0 +1,172 @@
+"""Trials of who was left out: the filter with its rows, run again beside the one without them.
+
+What is proved, and how sure that is, has `kernels.recovery.Trial`. A trial begins when residuals become small
+and is made again as the window grows, each time half as long again: their number grows with the logarithm of
+the time, and none is made while a fault shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pntegrity.exclusion import Policy, Standing
+from pntegrity.kernels.recovery import Trial, w_test
+from pntegrity.protocols import Estimator
+from pntegrity.records import Epoch, FloatArray, State, Update
+from pntegrity.states import is_left_out
+
+__all__ = ["Past", "Proof", "is_due", "left_out_rows", "passes_now", "prove"]
+
+#: A row that was not shown to be off is proved not to be off by so many standard deviations of its noise.
+LEAST_SIGMA = 4.0
+#: A trial is worth while where each estimated bias may be so many standard deviations.
+ENOUGH = 2.5
+#: Each trial is this much longer than the one before.
+LONGER = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What a repair or a trial needs of one epoch: the state before it, the epoch, who was left out, whether
+    its prior was relaxed.
+    """
+
+    before: State
+    epoch: Epoch
+    excluded: frozenset[str]
+    relaxed: bool = False
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What came of a test of who is left out.
+
+    Parameters
+    ----------
+    name : str
+        A group, or ``"<source>.<sensor>"``.
+    t_ns : int
+    epochs : int
+        Of the trial, or tests that have passed in a row.
+    passed : bool
+        Whether it may come back.
+    statistic, limit : float
+        The largest estimated bias of a row, or the largest w-statistic, in standard deviations; what that may
+        be.
+    readmission : float
+        Probability with which a row passes this trial that is off by as much as it was when it was left out
+        (or by 4 standard deviations, where that is more); 1 where nothing is known of it.
+    reason : str
+        Why nothing can be said.
+    """
+
+    name: str
+    t_ns: int
+    epochs: int
+    passed: bool
+    statistic: float = 0.0
+    limit: float = 0.0
+    readmission: float = 1.0
+    reason: str = ""
+
+
+def left_out_rows(update: Update, name: str) -> npt.NDArray[np.intp]:
+    """Return which of the rows left out are those of a group or sensor, products about it included."""
+    out = frozenset([name])
+    return np.array([i for i, key in enumerate(update.spare_keys) if is_left_out(key, out)], dtype=np.intp)
+
+
+def is_due(epochs: int, times: int) -> bool:
+    """Tell whether a trial is made after so many epochs with small residuals: the first of 4, each half as
+    long again; who was left out several times must go on for twice as long each time.
+    """
+    due = 4.0
+    while round(due) < epochs:
+        due *= LONGER
+    return round(due) == epochs and epochs >= 4 * 2 ** (min(times, 5) - 1)
+
+
+def prove(
+    estimator: Estimator, history: Sequence[Past], name: str, standing: Standing, policy: Policy
+) -> Proof:
+    """Return what a trial shows of who was left out, over the epochs since its residuals were small.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    history : sequence of Past
+        The oldest first, this epoch included.
+    name : str
+    standing : Standing
+    policy : Policy
+        `p_readmit` and `p_refuse`.
+    """
+    since_ns = standing.clean_ns if standing.clean_ns is not None else history[-1].epoch.t_ns
+    window = [p for p in history if p.epoch.t_ns >= since_ns]
+    updates = _run_again(estimator, window, name)
+    t_ns, out = window[-1].epoch.t_ns, frozenset([name])
+    keys = tuple(dict.fromkeys(k for u in updates for k in u.keys if is_left_out(k, out)))
+    if not keys or any(u.is_start for u in updates):
+        return Proof(name, t_ns, len(window), False, reason="nothing was measured")
+    rows = tuple(_places(u, keys) for u in updates)
+    trial = Trial(
+        tuple((u.F, u.H, u.L, u.K) for u in updates), rows, _sizes(updates, keys, dict(standing.rows)),
+        policy.p_readmit, policy.p_refuse, ENOUGH if len(window) >= policy.history else -np.inf,
+    )  # fmt: skip
+    return _proof(trial, updates, Proof(name, t_ns, len(window), False))
+
+
+def _run_again(estimator: Estimator, window: Sequence[Past], name: str) -> list[Update]:
+    state, out = window[0].before, []
+    for p in window:
+        prior = estimator.predict(state, p.epoch)
+        update = estimator.correct(
+            estimator.relax(prior) if p.relaxed else prior, p.epoch, p.excluded - {name}
+        )
+        out.append(update)
+        state = update.posterior
+    return out
+
+
+def _places(update: Update, keys: Sequence[str]) -> npt.NDArray[np.intp]:
+    at = {key: i for i, key in enumerate(update.keys)}
+    return np.array([at.get(key, -1) for key in keys], dtype=np.intp)
+
+
+def _sizes(updates: Sequence[Update], keys: Sequence[str], known: Mapping[str, float]) -> FloatArray:
+    """Return by how much each row must be proved not to be off."""
+    var = {k: float(u.R[i, i]) for u in updates for i, k in enumerate(u.keys)}
+    return np.array([max(abs(known.get(k, 0.0)), LEAST_SIGMA * np.sqrt(var[k])) for k in keys])
+
+
+def _proof(trial: Trial, updates: Sequence[Update], proof: Proof) -> Proof:
+    white = np.concatenate([u.white for u in updates])[:, None]
+    limits, each = trial.limits, trial.estimates(white)[:, 0]
+    worst = int(np.argmax(each - limits))
+    enough = bool(limits.min() >= ENOUGH)
+    return replace(
+        proof, passed=enough and bool(trial.passed(white)[0]), statistic=float(each[worst]),
+        limit=max(float(limits[worst]), 0.0), readmission=float(trial.readmission.max()),
+        reason="" if enough else "too short to tell",
+    )  # fmt: skip
+
+
+def passes_now(update: Update, name: str, p_fa: float) -> tuple[bool, float, float]:
+    """Return whether all w-tests of an epoch's rows pass, the largest of them, and its limit.
+
+    Parameters
+    ----------
+    update : Update
+        With the rows left out.
+    name : str
+    p_fa : float
+        Probability that a healthy row fails.
+    """
+    rows = left_out_rows(update, name)
+    cov = np.diag(update.spare_var) if update.spare_cov is None else update.spare_cov
+    w, limit = w_test(update.spare_nu[rows], cov[np.ix_(rows, rows)], p_fa)
+    return bool((w <= limit).all()), float(w.max()), limit

@@ -1,0 +1,149 @@
+"""Logs of a vessel with an inertial unit and any sources: what each would measure on a known motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pntegrity.formats.truth import Truth
+from pntegrity.physics.frames import enu_rotation, geodetic_to_ecef
+from pntegrity.records import Epoch, FloatArray, Inertial, Observation
+from pntegrity.sensors.imu import STIM300, ImuSpec
+from pntegrity.sensors.increments import with_increments
+from pntegrity.sensors.source import Pose, Source, Track
+from pntegrity.simulate.imu import increments, with_errors
+from pntegrity.simulate.motion import Motion, motion_of
+from pntegrity.states import group_of
+
+__all__ = ["VesselLog", "cruise", "measured", "pose_at", "vessel_log"]
+
+#: How long ago a signal may have left, s, and how often a second the way is known in between.
+TRACK_S, TRACK_HZ = 6.0, 10
+#: Time of travel is found by going back and forth so many times.
+PASSES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class VesselLog:
+    """Epochs with increments and what the sources said, and the motion behind them."""
+
+    epochs: tuple[Epoch, ...]
+    sources: tuple[Source, ...]
+    motion: Motion
+    inertial: Inertial
+
+    @property
+    def truth(self) -> Truth:
+        """The motion at the epochs."""
+        t_ns = np.array([e.t_ns for e in self.epochs], dtype=np.int64)
+        return Truth(t_ns, self.motion.at(t_ns)[0])
+
+
+def cruise(
+    start_ns: int, seconds: float, lat_deg: float = 32.0, lon_deg: float = 122.0, speed_mps: float = 2.5
+) -> Motion:
+    """Return a cruise at sea: a course that weaves, swell from the side.
+
+    Parameters
+    ----------
+    start_ns : int
+    seconds : float
+    lat_deg, lon_deg : float
+        Where it begins.
+    speed_mps : float
+    """
+    s = np.arange(0.0, seconds + 0.5, 0.5)
+    heading = np.radians(10.0 + 35.0 * np.sin(2.0 * np.pi * s / 50.0))
+    step = 0.5 * speed_mps
+    enu = np.stack([np.cumsum(step * np.sin(heading)), np.cumsum(step * np.cos(heading)),
+                    0.3 * np.sin(2.0 * np.pi * s / 7.0)], axis=1)  # fmt: skip
+    place = geodetic_to_ecef(np.radians(lat_deg), np.radians(lon_deg), 0.0)
+    attitude = np.stack([np.radians(4.0) * np.sin(2.0 * np.pi * s / 9.0),
+                         np.radians(2.0) * np.sin(2.0 * np.pi * s / 7.0 + 1.0), heading], axis=1)  # fmt: skip
+    t_ns = start_ns + np.round(s * 1e9).astype(np.int64)
+    return motion_of(Truth(t_ns, place + enu @ enu_rotation(place), attitude_rad=attitude))
+
+
+def pose_at(motion: Motion, t_ns: int) -> Pose:
+    """Return the true pose at a time, with the way there."""
+    first = max(t_ns - round(TRACK_S * 1e9), motion.span_ns[0])
+    times = np.unique(np.linspace(first, t_ns, round(TRACK_S * TRACK_HZ) + 1).round().astype(np.int64))
+    position, velocity, C = motion.at(times)
+    rate = motion.attitude(motion.seconds([t_ns]), 1)[0]
+    return Pose(t_ns, position[-1], velocity[-1], C[-1], rate, Track(times, position, C))
+
+
+def measured(
+    source: Source, keys: Sequence[str], pose: Pose, rng: np.random.Generator,
+    offsets: Mapping[str, float] | None = None, guess: float = 1.0,
+) -> Observation:  # fmt: skip
+    """Return what a source measures at a pose, with white errors of its own covariance.
+
+    Parameters
+    ----------
+    source : Source
+    keys : sequence of str
+        Rows.
+    pose : Pose
+        The true one.
+    rng : numpy.random.Generator
+    offsets : mapping of str to float, optional
+        What faults add to rows.
+    guess : float
+        What the rows read about, in their units.
+
+    Raises
+    ------
+    ValueError
+        Rows that the source cannot have there.
+    """
+    own = {n.name: 0.0 for n in source.nuisances()}
+    o = Observation(source.name, pose.t_ns, tuple(keys), np.full(len(keys), guess), aux=_spread(len(keys)))
+    for _ in range(PASSES):
+        rows = source.rows(o, replace(pose, nuisance=own))
+        if rows.keys != o.keys:
+            raise ValueError(f"{source.name}: {rows.reason}")
+        o = replace(o, y=o.y - rows.nu)
+    noise = np.linalg.cholesky(rows.R) @ rng.standard_normal(len(keys))
+    fault = np.array([(offsets or {}).get(k, 0.0) for k in keys])
+    return replace(o, y=o.y + noise + fault)
+
+
+def _spread(rows: int) -> dict[str, FloatArray]:
+    """Return what a fix says of its covariance: nothing beyond the floors of its source."""
+    return {"cov": np.zeros((rows, rows))}
+
+
+def vessel_log(
+    motion: Motion, sources: Mapping[Source, Sequence[str]], rng: np.random.Generator, *,
+    every_s: Mapping[str, float] | None = None, faults: Sequence[tuple[str, float, float, float, float]] = (),
+    spec: ImuSpec = STIM300, imu_hz: float = 100.0,
+) -> VesselLog:  # fmt: skip
+    """Return a log at one epoch a second.
+
+    Parameters
+    ----------
+    motion : Motion
+    sources : mapping of Source to sequence of str
+        With the rows of each.
+    rng : numpy.random.Generator
+    every_s : mapping of str to float, optional
+        Seconds between what a source says; 1 where it is not told.
+    faults : sequence of (str, float, float, float, float)
+        Key of a row, jump and rate a second in its unit, from and to, seconds.
+    spec : ImuSpec
+    imu_hz : float
+    """
+    first, last = motion.span_ns
+    inertial, _ = with_errors(increments(motion, first, last, imu_hz), spec, rng)
+    epochs = []
+    for k in range(round(TRACK_S), int((last - first) * 1e-9)):
+        t_ns = first + k * 1_000_000_000
+        pose = pose_at(motion, t_ns)
+        off = {f[0]: f[1] + f[2] * (k - f[3]) for f in faults if f[3] <= k < f[4]}
+        due = [s for s in sources if k % round((every_s or {}).get(s.name, 1.0)) == 0]
+        said = (measured(s, sources[s], pose, rng, off) for s in due)
+        epochs.append(Epoch(t_ns, tuple(o for o in said if group_of(o.keys[0]) == o.sensor)))
+    return VesselLog(with_increments(epochs, inertial), tuple(sources), motion, inertial)
