@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.exclusion import Policy, Standing
+from pntegrity.kernels.linear import inverse_definite
 from pntegrity.kernels.recovery import Trial, w_test
 from pntegrity.protocols import Estimator
 from pntegrity.records import Epoch, FloatArray, State, Update
@@ -138,9 +139,11 @@ def _places(update: Update, keys: Sequence[str]) -> npt.NDArray[np.intp]:
 
 
 def _sizes(updates: Sequence[Update], keys: Sequence[str], known: Mapping[str, float]) -> FloatArray:
-    """Return by how much each row must be proved not to be off."""
-    var = {k: float(u.R[i, i]) for u in updates for i, k in enumerate(u.keys)}
-    return np.array([max(abs(known.get(k, 0.0)), LEAST_SIGMA * np.sqrt(var[k])) for k in keys])
+    """Return by how much each row must be proved not to be off; what rows share is not their own noise."""
+    own = {}
+    for u in updates:
+        own.update(zip(u.keys, (np.diagonal(inverse_definite(u.R)) ** -0.5).tolist(), strict=True))
+    return np.array([max(abs(known.get(k, 0.0)), LEAST_SIGMA * own[k]) for k in keys])
 
 
 def _proof(trial: Trial, updates: Sequence[Update], proof: Proof) -> Proof:

@@ -344,9 +344,12 @@ class Update:
 
     def with_spares(
         self, keys: tuple[str, ...], nu: FloatArray, H: FloatArray, R: FloatArray,
-        names: tuple[str, ...] | None = None,
+        names: tuple[str, ...] | None = None, cross: FloatArray | None = None,
     ) -> Update:  # fmt: skip
         """Return the update with rows left out: residuals against the posterior, and their covariance.
+
+        With errors that rows left out share with used ones (a clock that is no state) these are residuals
+        against all that the used rows tell, ``nu_o - S_oc S^-1 nu``.
 
         Parameters
         ----------
@@ -357,12 +360,17 @@ class Update:
             Measurement variances, or covariance.
         names : tuple of str, optional
             Who is left out; the groups of the rows, where that is not told.
+        cross : ndarray, shape (k, m), optional
+            Covariance of their errors with those of the used rows; none where it is not told.
         """
-        step = self.posterior.mean - self.prior.mean
+        known = H @ (self.posterior.mean - self.prior.mean)
         spread = sandwich(H, self.posterior.P) + (np.diag(R) if R.ndim == 1 else R)
+        if cross is not None and cross.any():
+            told = whiten(self.L, self.H @ self.prior.P @ H.T + cross.T)
+            known, spread = told.T @ self.white, sandwich(H, self.prior.P) + R - told.T @ told
         out = tuple(dict.fromkeys(map(group_of, keys))) if names is None else names
         return self.altered(
-            spare_keys=keys, spare_nu=nu - H @ step, spare_var=np.diagonal(spread), spare_cov=spread,
+            spare_keys=keys, spare_nu=nu - known, spare_var=np.diagonal(spread), spare_cov=spread,
             excluded=out,
         )  # fmt: skip
 

@@ -103,7 +103,9 @@ class MultiSource(Usual):
         if not used.all():
             spare = tuple(k for k, u in zip(keys, used, strict=True) if not u)
             names = tuple(n for n in sorted(exclude) if any(is_left_out(k, frozenset([n])) for k in spare))
-            update = update.with_spares(spare, nu[~used], H[~used], R[np.ix_(~used, ~used)], names)
+            update = update.with_spares(
+                spare, nu[~used], H[~used], R[np.ix_(~used, ~used)], names, R[np.ix_(~used, used)]
+            )
         return with_aside(update, _corrected(update.posterior))
 
     def _start(self, old: State, epoch: Epoch, events: tuple[str, ...], n_old: int = 0) -> Prior:

@@ -15,7 +15,6 @@ from pntegrity.sensors.increments import with_increments
 from pntegrity.sensors.source import Pose, Source, Track
 from pntegrity.simulate.imu import increments, with_errors
 from pntegrity.simulate.motion import Motion, motion_of
-from pntegrity.states import group_of
 
 __all__ = ["VesselLog", "cruise", "measured", "pose_at", "vessel_log"]
 
@@ -107,8 +106,7 @@ def measured(
             raise ValueError(f"{source.name}: {rows.reason}")
         o = replace(o, y=o.y - rows.nu)
     noise = np.linalg.cholesky(rows.R) @ rng.standard_normal(len(keys))
-    fault = np.array([(offsets or {}).get(k, 0.0) for k in keys])
-    return replace(o, y=o.y + noise + fault)
+    return _off(replace(o, y=o.y + noise), offsets or {})
 
 
 def _spread(rows: int) -> dict[str, FloatArray]:
@@ -119,9 +117,10 @@ def _spread(rows: int) -> dict[str, FloatArray]:
 def vessel_log(
     motion: Motion, sources: Mapping[Source, Sequence[str]], rng: np.random.Generator, *,
     every_s: Mapping[str, float] | None = None, faults: Sequence[tuple[str, float, float, float, float]] = (),
-    spec: ImuSpec = STIM300, imu_hz: float = 100.0,
+    spec: ImuSpec = STIM300, imu_hz: float = 100.0, rate_hz: float = 1.0,
+    besides: Mapping[int, Observation] | None = None,
 ) -> VesselLog:  # fmt: skip
-    """Return a log at one epoch a second.
+    """Return a log of a vessel.
 
     Parameters
     ----------
@@ -130,20 +129,34 @@ def vessel_log(
         With the rows of each.
     rng : numpy.random.Generator
     every_s : mapping of str to float, optional
-        Seconds between what a source says; 1 where it is not told.
+        Seconds between what a source says; each epoch where it is not told.
     faults : sequence of (str, float, float, float, float)
         Key of a row, jump and rate a second in its unit, from and to, seconds.
     spec : ImuSpec
-    imu_hz : float
+    imu_hz, rate_hz : float
+        Increments and epochs a second.
+    besides : mapping of int to Observation, optional
+        What a further source says, by time; faults are added to it as to the others.
     """
     first, last = motion.span_ns
     inertial, _ = with_errors(increments(motion, first, last, imu_hz), spec, rng)
     epochs = []
-    for k in range(round(TRACK_S), int((last - first) * 1e-9)):
-        t_ns = first + k * 1_000_000_000
+    for k in range(round(TRACK_S * rate_hz), int((last - first) * 1e-9 * rate_hz)):
+        t_ns, t_s = first + round(k * 1e9 / rate_hz), k / rate_hz
         pose = pose_at(motion, t_ns)
-        off = {f[0]: f[1] + f[2] * (k - f[3]) for f in faults if f[3] <= k < f[4]}
-        due = [s for s in sources if k % round((every_s or {}).get(s.name, 1.0)) == 0]
-        said = (measured(s, sources[s], pose, rng, off) for s in due)
-        epochs.append(Epoch(t_ns, tuple(o for o in said if group_of(o.keys[0]) == o.sensor)))
+        off = {f[0]: f[1] + f[2] * (t_s - f[3]) for f in faults if f[3] <= t_s < f[4]}
+        said = [
+            measured(s, keys, pose, rng, off) for s, keys in sources.items() if _is_due(s.name, t_s, every_s)
+        ]
+        said += [_off(o, off) for o in [(besides or {}).get(t_ns)] if o is not None]
+        epochs.append(Epoch(t_ns, tuple(said)))
     return VesselLog(with_increments(epochs, inertial), tuple(sources), motion, inertial)
+
+
+def _is_due(name: str, t_s: float, every_s: Mapping[str, float] | None) -> bool:
+    every = (every_s or {}).get(name, 0.0)
+    return not every or t_s % every == 0.0
+
+
+def _off(o: Observation, off: Mapping[str, float]) -> Observation:
+    return replace(o, y=o.y + np.array([off.get(k, 0.0) for k in o.keys]))
