@@ -15,6 +15,7 @@ from pntegrity.pipeline import Pipeline
 from pntegrity.proving import is_due
 from pntegrity.records import Layout, Prior, State, Suspect, Update, Verdict
 from pntegrity.scenarios._vessel_logs import estimator, ship, ship_log
+from pntegrity.simulate.vessel_log import with_faults
 from pntegrity.states import group_of, is_left_out, sensor_of
 
 SECONDS, BEGIN, END = 90, 40, 60
@@ -23,7 +24,7 @@ BEACON = ("lbl:R.AP1", 0.006, 0.0, BEGIN, END)
 
 @lru_cache(maxsize=8)
 def log(*faults):
-    return ship_log(ship(SECONDS, 1.0), 11, faults)
+    return with_faults(log(), faults) if faults else ship_log(ship(SECONDS, 1.0), 11)
 
 
 def pipeline(of, **changes):

@@ -1,4 +1,4 @@
-"""The vessel of the multi-level study as a log: real source types, an INS mechanisation, satellites in the sky."""
+"""The vessel of the multi-level study as a log: real source types, mechanised INS, satellites in the sky."""
 
 from __future__ import annotations
 
@@ -26,16 +26,13 @@ from pntegrity.sensors.usbl import Usbl
 from pntegrity.simulate.constellation import nominal_navigation
 from pntegrity.simulate.motion import Motion
 from pntegrity.simulate.receiver import Receiver, epochs_of, simulate
-from pntegrity.simulate.vessel_log import VesselLog, cruise, vessel_log
+from pntegrity.simulate.vessel_log import Fault, VesselLog, cruise, vessel_log
 
-__all__ = ["START_NS", "Fault", "Ship", "estimator", "facts", "fault_of", "ship", "ship_log"]
+__all__ = ["START_NS", "Ship", "estimator", "facts", "fault_of", "ship", "ship_log"]
 
 START_NS = 1_400_000_000_000_000_000
 SATELLITES, MASK_DEG = 12, 12.0
 DEG, HOUR = np.pi / 180.0, 3600.0
-
-Fault = tuple[str, float, float, float, float]
-"""Key of a row, jump and rate a second in its unit, from and to, s."""
 
 
 def facts() -> Mapping[str, Any]:
@@ -123,21 +120,12 @@ def _places(motion: Motion, start_ned_m: FloatArray) -> Any:
     return place
 
 
-def ship_log(vessel: Ship, seed: int, faults: Sequence[Fault] = ()) -> VesselLog:
-    """Return a log of the ship; errors are the same whatever the faults are.
-
-    Parameters
-    ----------
-    vessel : Ship
-    seed : int
-    faults : sequence
-        See `vessel_log`.
-    """
+def ship_log(vessel: Ship, seed: int) -> VesselLog:
+    """Return a log of the ship without faults."""
     sky, rest = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2])
     said = _sky(vessel, sky)
     log = vessel_log(
-        vessel.motion, vessel.sources, rest, faults=faults, spec=vessel.spec, rate_hz=vessel.rate_hz,
-        besides=said,
+        vessel.motion, vessel.sources, rest, spec=vessel.spec, rate_hz=vessel.rate_hz, besides=said,
     )  # fmt: skip
     return replace(log, sources=vessel.all())
 

@@ -16,7 +16,10 @@ from pntegrity.sensors.source import Pose, Source, Track
 from pntegrity.simulate.imu import increments, with_errors
 from pntegrity.simulate.motion import Motion, motion_of
 
-__all__ = ["VesselLog", "cruise", "measured", "pose_at", "vessel_log"]
+__all__ = ["Fault", "VesselLog", "cruise", "measured", "pose_at", "vessel_log", "with_faults"]
+
+Fault = tuple[str, float, float, float, float]
+"""Key of a row, jump and rate a second in its unit, from and to, s."""
 
 #: How long ago a signal may have left, s, and how often a second the way is known in between.
 TRACK_S, TRACK_HZ = 6.0, 10
@@ -75,9 +78,8 @@ def pose_at(motion: Motion, t_ns: int) -> Pose:
 
 
 def measured(
-    source: Source, keys: Sequence[str], pose: Pose, rng: np.random.Generator,
-    offsets: Mapping[str, float] | None = None, guess: float = 1.0,
-) -> Observation:  # fmt: skip
+    source: Source, keys: Sequence[str], pose: Pose, rng: np.random.Generator, guess: float = 1.0
+) -> Observation:
     """Return what a source measures at a pose, with white errors of its own covariance.
 
     Parameters
@@ -88,8 +90,6 @@ def measured(
     pose : Pose
         The true one.
     rng : numpy.random.Generator
-    offsets : mapping of str to float, optional
-        What faults add to rows.
     guess : float
         What the rows read about, in their units.
 
@@ -106,7 +106,7 @@ def measured(
             raise ValueError(f"{source.name}: {rows.reason}")
         o = replace(o, y=o.y - rows.nu)
     noise = np.linalg.cholesky(rows.R) @ rng.standard_normal(len(keys))
-    return _off(replace(o, y=o.y + noise), offsets or {})
+    return replace(o, y=o.y + noise)
 
 
 def _spread(rows: int) -> dict[str, FloatArray]:
@@ -116,7 +116,7 @@ def _spread(rows: int) -> dict[str, FloatArray]:
 
 def vessel_log(
     motion: Motion, sources: Mapping[Source, Sequence[str]], rng: np.random.Generator, *,
-    every_s: Mapping[str, float] | None = None, faults: Sequence[tuple[str, float, float, float, float]] = (),
+    every_s: Mapping[str, float] | None = None,
     spec: ImuSpec = STIM300, imu_hz: float = 100.0, rate_hz: float = 1.0,
     besides: Mapping[int, Observation] | None = None,
 ) -> VesselLog:  # fmt: skip
@@ -130,13 +130,11 @@ def vessel_log(
     rng : numpy.random.Generator
     every_s : mapping of str to float, optional
         Seconds between what a source says; each epoch where it is not told.
-    faults : sequence of (str, float, float, float, float)
-        Key of a row, jump and rate a second in its unit, from and to, seconds.
     spec : ImuSpec
     imu_hz, rate_hz : float
         Increments and epochs a second.
     besides : mapping of int to Observation, optional
-        What a further source says, by time; faults are added to it as to the others.
+        What a further source says, by time.
     """
     first, last = motion.span_ns
     inertial, _ = with_errors(increments(motion, first, last, imu_hz), spec, rng)
@@ -144,11 +142,8 @@ def vessel_log(
     for k in range(round(TRACK_S * rate_hz), int((last - first) * 1e-9 * rate_hz)):
         t_ns, t_s = first + round(k * 1e9 / rate_hz), k / rate_hz
         pose = pose_at(motion, t_ns)
-        off = {f[0]: f[1] + f[2] * (t_s - f[3]) for f in faults if f[3] <= t_s < f[4]}
-        said = [
-            measured(s, keys, pose, rng, off) for s, keys in sources.items() if _is_due(s.name, t_s, every_s)
-        ]
-        said += [_off(o, off) for o in [(besides or {}).get(t_ns)] if o is not None]
+        said = [measured(s, keys, pose, rng) for s, keys in sources.items() if _is_due(s.name, t_s, every_s)]
+        said += [o for o in [(besides or {}).get(t_ns)] if o is not None]
         epochs.append(Epoch(t_ns, tuple(said)))
     return VesselLog(with_increments(epochs, inertial), tuple(sources), motion, inertial)
 
@@ -158,5 +153,20 @@ def _is_due(name: str, t_s: float, every_s: Mapping[str, float] | None) -> bool:
     return not every or t_s % every == 0.0
 
 
-def _off(o: Observation, off: Mapping[str, float]) -> Observation:
-    return replace(o, y=o.y + np.array([off.get(k, 0.0) for k in o.keys]))
+def with_faults(log: VesselLog, faults: Sequence[Fault]) -> VesselLog:
+    """Return a log with faults: its errors stay what they were.
+
+    Parameters
+    ----------
+    log : VesselLog
+    faults : sequence of Fault
+    """
+    return replace(
+        log, epochs=tuple(_faulty(e, (e.t_ns - log.motion.span_ns[0]) * 1e-9, faults) for e in log.epochs)
+    )
+
+
+def _faulty(epoch: Epoch, t_s: float, faults: Sequence[Fault]) -> Epoch:
+    off = {f[0]: f[1] + f[2] * (t_s - f[3]) for f in faults if f[3] <= t_s < f[4]}
+    said = (replace(o, y=o.y + np.array([off.get(k, 0.0) for k in o.keys])) for o in epoch.observations)
+    return replace(epoch, observations=tuple(said)) if off else epoch
