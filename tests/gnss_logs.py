@@ -19,9 +19,9 @@ from pntegrity.physics.tables import Navigation
 from pntegrity.physics.time import from_iso
 from pntegrity.protocols import Estimator, Monitor
 from pntegrity.records import Epoch, Inertial, Observation, Prior, State, Update, group_of
-from pntegrity.sensors.gnss import EARTH_RATE_RADPS
 from pntegrity.sensors.increments import with_increments
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.ranges import EARTH_RATE_RADPS
 from pntegrity.simulate.constellation import nominal_navigation
 from pntegrity.simulate.faults import apply_faults, parse_fault
 from pntegrity.simulate.linear import LinearModel

@@ -19,7 +19,7 @@ from benchmarks.workload import FAULT_M, FAULTED, Workload
 from pntegrity.estimators.spp import Spp
 from pntegrity.records import State, group_of
 from pntegrity.run import options_for
-from pntegrity.sensors.gnss import geometry
+from pntegrity.sensors.ranges import geometry
 
 _SYSTEMS = {"G": "gps", "R": "glonass", "E": "galileo", "C": "beidou"}
 

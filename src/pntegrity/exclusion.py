@@ -78,8 +78,9 @@ class Policy:
         with at most the second, where it is long enough. Both tests of passes refuse with the second.
     passes : int
     reacquire_s : float
-        With `trust_prior`: a group without which nothing was measured returns after this long, whatever its
-        residuals, and position and velocity start anew at it; the prior is then not trusted for `forget_s`.
+        With `trust_prior`: a group without which nothing was measured, or only by sources most of whose
+        sensors are left out, returns after this long, whatever its residuals, and position and velocity start
+        anew at it; the prior is then not trusted for `forget_s`.
     """
 
     exclude: bool = True

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pntegrity.errors import InputError
-from pntegrity.estimators._gnss import GnssOptions, snapshot
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._ins_alignment import COURSE_MPS, COURSE_SIGMA
 from pntegrity.estimators._ins_options import Coupling, Detection, InsOptions
 from pntegrity.estimators._usual import MONITORS
@@ -27,7 +27,8 @@ from pntegrity.physics.time import SECOND_NS, from_iso
 from pntegrity.records import Epoch, FloatArray, Inertial, Observation
 from pntegrity.sensors.imu_spec import read_imu_spec
 from pntegrity.sensors.increments import with_increments
-from pntegrity.vehicle import sources_of
+from pntegrity.sensors.snapshot import snapshot
+from pntegrity.vehicle import check_clocks, sources_of
 
 __all__ = [
     "InertialConfig",
@@ -311,6 +312,8 @@ def with_imu(
     )  # fmt: skip
     if auto:
         whole = _without_lag(whole, estimate_lag(whole, epochs, options, notes), config.imu, notes)
+    if config.source:
+        check_clocks(config.source, epochs, whole.t_ns, config.imu, notes)
     try:
         return with_increments(epochs, whole)
     except ValueError as error:
@@ -387,7 +390,7 @@ def _tracks(epochs: Sequence[Epoch], options: GnssOptions) -> tuple[FloatArray, 
     """Return positions and velocities, north and east, shapes (n, 2), nan where there are none, and the
     standard deviation that fixes state for their positions; inf for snapshots.
     """
-    both = [_from_fix(e) or _from_snapshot(e, options) for e in epochs]
+    both = [_from_fix(e) or _from_sources(e, options) or _from_snapshot(e, options) for e in epochs]
     place = np.array([p for p, _, _ in both])
     known = place[np.isfinite(place).all(axis=1)]
     if not len(known):
@@ -408,6 +411,18 @@ def _from_fix(epoch: Epoch) -> Motion | None:
     row = dict(zip(fix.keys, fix.y.tolist(), strict=True))
     place = np.array([row.get(k, np.nan) for k in POSITION_KEYS])
     return place, np.array([row.get(k, np.nan) for k in VELOCITY_KEYS]), float(fix.sigma[:3].max())
+
+
+def _from_sources(epoch: Epoch, options: GnssOptions) -> Motion | None:
+    """Return what the first source that tells a position says of it."""
+    for source in options.sources:
+        said, told = epoch.sensor(source.name), getattr(source, "position", None)
+        found = told(said) if said is not None and len(said.keys) and told is not None else None
+        if found is not None:
+            place, speed, cov = found
+            sigma = float(np.sqrt(np.diag(cov)[:3].max()))
+            return place, np.full(3, np.nan) if speed is None else speed, sigma
+    return None
 
 
 def _from_snapshot(epoch: Epoch, options: GnssOptions) -> Motion:

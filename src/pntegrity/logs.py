@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pntegrity.errors import InputError
-from pntegrity.estimators._gnss import GnssOptions, track
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.formats.clas_l6 import corrections_for
 from pntegrity.formats.products import ProductFiles, read_products
 from pntegrity.formats.rinex_nav import read_navigation
@@ -21,6 +21,7 @@ from pntegrity.physics.tables import Navigation, SignalTable
 from pntegrity.physics.time import SECOND_NS
 from pntegrity.records import FloatArray
 from pntegrity.sensors.noise import PPP, NoiseModel
+from pntegrity.sensors.snapshot import track
 
 __all__ = ["Span", "clas_log", "precise_log", "with_atmosphere"]
 

@@ -261,7 +261,7 @@ class Pipeline:
 
         present = _present(epoch, standing)
         after, proofs = review(standing, update, present, self.policy, step_s, trial)
-        back = reacquired(after, update, self.policy)
+        back = reacquired(after, update, self.policy, history)
         after = {g: s for g, s in after.items() if g not in back}
         readmitted = tuple(g for g in standing if g not in after)
         alert = _alert(last.verdicts) or bool(reason)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.exclusion import Policy, Standing, levels
-from pntegrity.kernels.signatures import is_carrier
-from pntegrity.proving import Proof, is_due, left_out_rows, passes_now
+from pntegrity.exclusion import Policy, Standing
+from pntegrity.kernels.signatures import is_carrier, is_rate
+from pntegrity.proving import Past, Proof, is_due, left_out_rows, passes_now
 from pntegrity.records import Update
-from pntegrity.states import ANEW
+from pntegrity.states import ANEW, group_of, is_left_out
 
 __all__ = ["distrusting", "left_out", "reacquired", "review"]
 
@@ -80,14 +81,34 @@ def _offsets(update: Update, name: str) -> tuple[tuple[str, float], ...]:
     return tuple((update.spare_keys[i], float(update.spare_nu[i])) for i in rows)
 
 
-def reacquired(standing: Mapping[str, Standing], update: Update, policy: Policy) -> frozenset[str]:
-    """Return the groups in view that come back after `Policy.reacquire_s` in which nothing else told the
-    position.
+def reacquired(
+    standing: Mapping[str, Standing], update: Update, policy: Policy, history: Sequence[Past]
+) -> frozenset[str]:
+    """Return those in view that come back after `Policy.reacquire_s` in which nothing else told the position,
+    or only sources most of whose own sensors were left out.
+
+    Parameters
+    ----------
+    standing : mapping of str to Standing
+    update : Update
+    policy : Policy
+    history : sequence of Past
+        The oldest first, this epoch included.
     """
-    if not policy.trust_prior or levels(update.keys):
-        return frozenset()
     since = {g: (update.t_ns - s.since_ns) * 1e-9 for g, s in standing.items() if s.seen_ns == update.t_ns}
-    return frozenset(g for g, seconds in since.items() if seconds >= policy.reacquire_s)
+    due = frozenset(g for g, seconds in since.items() if seconds >= policy.reacquire_s)
+    if not due or not policy.trust_prior:
+        return frozenset()
+    first_ns = update.t_ns - policy.reacquire_s * 1e9
+    lately = (p for p in reversed(history) if p.epoch.t_ns >= first_ns)
+    return frozenset() if any(_was_told(p) for p in lately) else due
+
+
+def _was_told(past: Past) -> bool:
+    """Tell whether any group had most of its level rows in use."""
+    keys = [k for o in past.epoch.observations for k in o.keys if not is_rate(k)]
+    out = Counter(group_of(k) for k in keys if is_left_out(k, past.excluded))
+    return any(2 * out[group] <= count for group, count in Counter(map(group_of, keys)).items())
 
 
 def distrusting(policy: Policy, reacquired_ns: int | None, t_ns: int) -> Policy:

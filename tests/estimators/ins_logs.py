@@ -16,10 +16,10 @@ from pntegrity.estimators.gnss_ins import GnssIns
 from pntegrity.kernels.rotations import attitude_angles
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import Epoch, State, Update
-from pntegrity.sensors.gnss import geometry
 from pntegrity.sensors.imu import STIM300, ImuSpec
 from pntegrity.sensors.increments import with_increments
 from pntegrity.sensors.noise import CITY
+from pntegrity.sensors.ranges import geometry
 from pntegrity.simulate.imu import increments, with_errors
 from pntegrity.simulate.motion import motion_of_drive
 from pntegrity.simulate.receiver import Receiver, epochs_of, simulate

@@ -24,13 +24,13 @@ from gnss_logs import (
     simulated,
     without,
 )
-from pntegrity.estimators._gnss import code_rows, rate_rows
 from pntegrity.estimators.spp import Spp
 from pntegrity.estimators.spp_kf import SppKf
 from pntegrity.monitors.rctm import Rctm
 from pntegrity.monitors.srctm import Srctm
 from pntegrity.records import Epoch, State, Update
-from pntegrity.sensors.gnss import C_MPS
+from pntegrity.sensors.pseudoranges import code_rows, rate_rows
+from pntegrity.sensors.ranges import C_MPS
 from pntegrity.simulate.receiver import Receiver, epochs_of, simulate
 from pntegrity.simulate.trajectory import car
 

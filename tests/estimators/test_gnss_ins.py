@@ -10,13 +10,13 @@ from ins_logs import ARM, DRIVE, blind, drive, filter_of, heading_off, off_m, sh
 from scipy.stats import chi2
 
 from gnss_logs import NOISE as NOISE_OF
-from pntegrity.estimators._gnss import code_rows, rate_rows
 from pntegrity.estimators._ins_solution import antenna_of
 from pntegrity.estimators._ins_still import KEYS
 from pntegrity.kernels.rotations import rotation
 from pntegrity.records import Epoch, State
-from pntegrity.sensors.gnss import EARTH_RATE_RADPS
 from pntegrity.sensors.imu import LOW_COST
+from pntegrity.sensors.pseudoranges import code_rows, rate_rows
+from pntegrity.sensors.ranges import EARTH_RATE_RADPS
 from pntegrity.simulate.trajectory import Leg
 
 LONG = (Leg(5.0, 0.0), Leg(8.0, 10.0), Leg(20.0, 10.0), Leg(8.0, 10.0, 0.8), Leg(60.0, 12.0), Leg(8.0, 0.0))

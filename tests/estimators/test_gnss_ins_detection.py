@@ -15,7 +15,7 @@ from pntegrity.exclusion import Policy
 from pntegrity.monitors.separation import Separation
 from pntegrity.pipeline import Pipeline
 from pntegrity.records import Epoch, Observation
-from pntegrity.sensors.gnss import C_MPS
+from pntegrity.sensors.ranges import C_MPS
 
 # --- clocks
 # ----------------------------------------------------------------------------------------

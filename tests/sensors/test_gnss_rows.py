@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pntegrity.sensors.gnss import C_MPS, EARTH_RATE_RADPS, geometry, range_rate
+from pntegrity.sensors.ranges import C_MPS, EARTH_RATE_RADPS, geometry, range_rate
 
 RNG = np.random.default_rng(4)
 PLACES = [

@@ -9,12 +9,13 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.estimators._gnss import GnssOptions, elevations, model_m, sensor
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._layout import IndexArray
 from pntegrity.physics.atmosphere import mapping_factors, zenith_delays_m
 from pntegrity.records import Epoch, FloatArray, Observation, group_of
-from pntegrity.sensors.gnss import geometry
 from pntegrity.sensors.noise import LAST_BDS2
+from pntegrity.sensors.pseudoranges import elevations, model_m, sensor
+from pntegrity.sensors.ranges import geometry
 from pntegrity.states import is_left_out
 
 __all__ = ["PRODUCTS", "Names", "PreciseRows", "names_of", "precise_rows"]

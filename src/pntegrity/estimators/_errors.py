@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from pntegrity.estimators._gnss import Rows
 from pntegrity.estimators._layout import IndexArray, columns
 from pntegrity.records import FloatArray, Layout
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.pseudoranges import Rows
 
 KINDS = ("bias", "mp", "mpin")
 

@@ -8,13 +8,13 @@ from functools import lru_cache
 import numpy as np
 
 from pntegrity.estimators._errors import error_states, propagate, stationary
-from pntegrity.estimators._gnss import Rows, system_of
 from pntegrity.estimators._layout import columns, survivors
 from pntegrity.estimators._navigation import MOTION, START_CLOCK_M
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import FloatArray, Layout
-from pntegrity.sensors.gnss import C_MPS
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.pseudoranges import Rows, system_of
+from pntegrity.sensors.ranges import C_MPS
 
 __all__ = ["clock_walk", "clocks", "integrated_walk", "median", "mode", "next_layout", "transition"]
 

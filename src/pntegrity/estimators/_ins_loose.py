@@ -8,16 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from pntegrity.estimators._gnss import (
-    GnssOptions,
-    Rows,
-    code_rows,
-    rate_rows,
-    sensor,
-    system_of,
-    velocity_of,
-    without,
-)
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._ins_motion import Moved, inertial_prior
 from pntegrity.estimators._ins_solution import antenna, arm_slopes, with_aside
 from pntegrity.estimators._ins_still import standing, zero_velocity
@@ -26,6 +17,8 @@ from pntegrity.kernels.lsr import screen_lsr, screen_none
 from pntegrity.kernels.snapshot_fix import Fix, Pseudoranges
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update, group_of
+from pntegrity.sensors.pseudoranges import Rows, code_rows, rate_rows, sensor, system_of, without
+from pntegrity.sensors.snapshot import velocity_of
 
 __all__ = ["correct", "predict"]
 

@@ -13,7 +13,7 @@ from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.kernels.strapdown import mechanise
 from pntegrity.records import FloatArray, Inertial, Prior, State
-from pntegrity.sensors.gnss import EARTH_RATE_RADPS
+from pntegrity.sensors.ranges import EARTH_RATE_RADPS
 
 __all__ = ["Moved", "advance", "inertial_prior", "is_lost"]
 

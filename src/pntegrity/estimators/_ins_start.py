@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pntegrity.estimators._errors import KINDS, stationary
 from pntegrity.estimators._filter import mode
-from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, snapshot, system_of
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._ins_alignment import Aligned, Alignment, Velocity, aligned, felt, heading_of
 from pntegrity.estimators._ins_solution import Aside, inertial_names
 from pntegrity.estimators._navigation import MOTION, start_prior
@@ -21,6 +21,8 @@ from pntegrity.kernels.rotations import cross
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.records import Epoch, FloatArray, Inertial, Layout, Prior, State
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.pseudoranges import Rows, code_rows, system_of
+from pntegrity.sensors.snapshot import Fix, snapshot
 
 __all__ = ["align", "begun", "found_anew"]
 

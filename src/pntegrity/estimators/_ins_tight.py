@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pntegrity.estimators._errors import error_kinds
 from pntegrity.estimators._filter import clock_walk, clocks, mode, next_layout, transition
-from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows, system_of
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._ins_motion import Moved
 from pntegrity.estimators._ins_solution import antenna, antenna_of, arm_slopes, inertial_names, with_aside
 from pntegrity.estimators._ins_start import found_anew
@@ -22,6 +22,7 @@ from pntegrity.kernels.signatures import is_rate
 from pntegrity.kernels.snapshot_fix import pdop_of
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, Screening, State, Update, group_of
+from pntegrity.sensors.pseudoranges import Rows, code_rows, rate_rows, system_of
 
 __all__ = ["correct", "predict"]
 

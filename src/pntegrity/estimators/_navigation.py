@@ -10,10 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.estimators._errors import error_kinds, error_states, stationary
-from pntegrity.estimators._gnss import Fix, GnssOptions, Rows, code_rows, snapshot, system_of
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._layout import columns
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update, group_of
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.pseudoranges import Rows, code_rows, system_of
+from pntegrity.sensors.snapshot import Fix, snapshot
 
 #: Standard deviations of a start, far above those of the snapshot that gives the mean.
 START_POS_M, START_VEL_MPS, START_CLOCK_M, START_DRIFT_MPS = 300.0, 100.0, 1000.0, 1000.0

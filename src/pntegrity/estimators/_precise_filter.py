@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.estimators._carrier import PRODUCTS, Names, PreciseRows
-from pntegrity.estimators._gnss import Fix, GnssOptions, snapshot
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._layout import columns
 from pntegrity.estimators._navigation import no_prior, not_started
 from pntegrity.estimators._precise import (
@@ -25,6 +25,7 @@ from pntegrity.kernels.sparse import sandwich
 from pntegrity.physics.atmosphere import zenith_delays_m
 from pntegrity.records import Epoch, FloatArray, Layout, Prior, State, Update
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.snapshot import Fix, snapshot
 from pntegrity.states import ANEW
 
 __all__ = ["PreciseFilter"]

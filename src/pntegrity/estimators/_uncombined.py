@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.estimators._carrier import PreciseRows, arc_names, names_of, nodes_s, owner_of, paired
-from pntegrity.estimators._gnss import GnssOptions, elevations, model_m, sensor
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._layout import IndexArray
 from pntegrity.physics.atmosphere import klobuchar_m, mapping_factors, zenith_delays_m
 from pntegrity.records import Epoch, FloatArray, Observation, group_of
-from pntegrity.sensors.gnss import geometry
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.pseudoranges import elevations, model_m, sensor
+from pntegrity.sensors.ranges import geometry
 
 __all__ = ["ionosphere_free", "uncombined_rows"]
 

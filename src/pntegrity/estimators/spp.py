@@ -7,11 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from pntegrity.estimators._gnss import GnssOptions, Rows, rate_rows
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._navigation import fix_prior, linear_update, not_started
 from pntegrity.estimators._usual import Usual
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update
 from pntegrity.sensors.noise import Fitted
+from pntegrity.sensors.pseudoranges import Rows, rate_rows
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,14 @@ import numpy as np
 
 from pntegrity.estimators._errors import error_kinds
 from pntegrity.estimators._filter import clock_walk, clocks, integrated_walk, next_layout, transition
-from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._navigation import START_VARIANCE, fix_prior, linear_update, not_started
 from pntegrity.estimators._usual import Usual
 from pntegrity.kernels.linear import symmetric
 from pntegrity.kernels.sparse import sandwich
 from pntegrity.records import Epoch, FloatArray, Prior, State, Update
 from pntegrity.sensors.noise import Fitted, NoiseModel
+from pntegrity.sensors.pseudoranges import Rows, code_rows, rate_rows
 
 
 @dataclass(frozen=True)

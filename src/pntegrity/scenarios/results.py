@@ -249,6 +249,24 @@ chosen on another seed of the same cases.""",
         from_module("reproduce_multi_level", "multi_level"),
         real=False,
     ),
+    Campaign(
+        "vessel-cases",
+        "Several sources beside an INS, simulated: the six cases through the whole chain",
+        """The ship of the linear study as a log: increments of its INS at 100 Hz, pseudoranges of 12 satellites,
+travel times to four beacons, USBL, 2 Hz; filter, source and sensor level, exclusion with a re-run from before
+the onset, trial and re-admission as `pntegrity run` has them. 40 runs without a fault, 20 of each case; 6 with
+the published monitors and five passes.""",
+        from_module("evidence_vessel_cases", "vessel_cases"),
+        real=False,
+    ),
+    Campaign(
+        "vessel-speed",
+        "Several sources beside an INS: speed",
+        """CPU time on one core of the ship with four sources (12 satellites, four beacons, USBL, depth) at 1 Hz,
+increments at 100 Hz, with all monitors: source level, sensor level, protection levels, trials.""",
+        from_module("evidence_vessel_cases", "vessel_speed"),
+        real=False,
+    ),
 )
 CAMPAIGNS: Mapping[str, Campaign] = {c.name: c for c in _ALL}
 

@@ -12,7 +12,7 @@ from pntegrity.sensors.source import Nuisance, Pose, SourceRows
 
 __all__ = ["Fix"]
 
-SIGNALS = ("R.X", "R.Y", "R.Z", "D.X", "D.Y", "D.Z")
+SIGNALS = ("RX", "RY", "RZ", "DX", "DY", "DZ")
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class Fix:
     Parameters
     ----------
     name : str
-        Of the source; rows are ``"<name>:R.X"``, ... (m) and ``"<name>:D.X"``, ... (m/s).
+        Of the source; rows are ``"<name>:RX"``, ... (m) and ``"<name>:DX"``, ... (m/s). They are one sensor:
+        an error of a position is in any direction.
     lever_arm_m : tuple of float
         From the IMU to the point that the fix is of; forward, right, down.
     sigma_floor_m, sigma_floor_mps : float

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pntegrity.estimators._gnss import GnssOptions, Rows, code_rows, rate_rows
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.records import Epoch, FloatArray, group_of
-from pntegrity.sensors.gnss import C_MPS
+from pntegrity.sensors.pseudoranges import Rows, code_rows, rate_rows
+from pntegrity.sensors.ranges import C_MPS
 from pntegrity.states import freeze
 
 __all__ = ["ErrorLibrary", "Series", "library_of", "mode_of"]

@@ -16,8 +16,8 @@ from pntegrity.physics.atmosphere import mapping_factors, zenith_delays_m
 from pntegrity.physics.frames import elevation_azimuth
 from pntegrity.physics.orbits import SatelliteStates
 from pntegrity.records import Epoch, FloatArray, Observation
-from pntegrity.sensors.gnss import C_MPS, Geometry, geometry
 from pntegrity.sensors.noise import PPP, NoiseModel
+from pntegrity.sensors.ranges import C_MPS, Geometry, geometry
 from pntegrity.simulate.receiver import gauss_markov
 
 __all__ = ["PreciseReceiver", "States", "simulate_precise"]

@@ -1,6 +1,6 @@
 """A simulated receiver: broadcast ephemerides and a trajectory in, a table of signals out, faults and all.
 
-Ranges, range rates and delays come from the code that the estimators use (`sensors.gnss`,
+Ranges, range rates and delays come from the code that the estimators use (`sensors.ranges`,
 `physics.atmosphere`), and the errors from a `NoiseModel`: white noise, multipath and a bias of each satellite
 as first-order Gauss-Markov processes. The table can be written as RINEX, or turned into epochs at once
 (`epochs_of`).
@@ -22,8 +22,8 @@ from pntegrity.physics.orbits import satellite_states
 from pntegrity.physics.signals import frequency_hz
 from pntegrity.physics.tables import Navigation, SignalTable
 from pntegrity.records import Epoch, FloatArray
-from pntegrity.sensors.gnss import C_MPS, geometry, range_rate
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.ranges import C_MPS, geometry, range_rate
 from pntegrity.simulate.faults import Fault, signature
 from pntegrity.simulate.trajectory import Trajectory
 

@@ -21,7 +21,7 @@ import numpy as np
 from pntegrity.physics.frames import elevation_azimuth, enu_rotations
 from pntegrity.physics.tables import Navigation, SignalTable
 from pntegrity.records import Epoch, FloatArray, Observation, group_of
-from pntegrity.sensors.gnss import C_MPS, geometry
+from pntegrity.sensors.ranges import C_MPS, geometry
 from pntegrity.simulate._urban_blocks import LOST, IntArray, Plan, Sky
 from pntegrity.simulate.error_library import ErrorLibrary
 from pntegrity.simulate.motion import Motion
