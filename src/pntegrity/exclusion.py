@@ -147,7 +147,8 @@ class Standing:
 class Exclusion:
     """One exclusion as reported: who, by which test, how large, since when.
 
-    `switch`: the filter goes over to the subfilter that never knew the group. `rows`: by how much each of its
+    `switch`: the filter goes over to the subfilter that never knew the group. `doubtful`: others could be at
+    fault as well, as long as it is left out. `rows`: by how much each of its
     rows was off, where that is known.
     """
 
@@ -161,6 +162,7 @@ class Exclusion:
     ambiguous: bool = False
     switch: bool = False
     rows: tuple[tuple[str, float], ...] = ()
+    doubtful: bool = False
 
 
 @dataclass(frozen=True)
@@ -227,23 +229,28 @@ def _from_prior(update: Update, verdicts: Sequence[Verdict], policy: Policy, pre
 
 
 def _from_names(update: Update, alerts: Sequence[Verdict]) -> Decision:
-    """Return who is named without another who may be at fault as well: whole sources, or the sensors of one
-    where a monitor names these and the source has others.
+    """Return who is named: whole sources, or the sensors of one where a monitor names these and the source has
+    others.
+
+    Where others may be at fault as well, and all of these would need more sources at fault at once, the first
+    is left out in doubt; where not, nobody is.
     """
     clear = [v for v in alerts if not v.ambiguous and len(v.suspects) == 1]
-    chosen = min(clear, key=lambda v: len(v.suspects[0].groups), default=None)
-    if chosen is None:
-        return Decision(reason=_unclear(alerts))
-    suspect = chosen.suspects[0]
+    sure = min(clear, key=lambda v: len(v.suspects[0].groups), default=None)
+    chosen = sure or max(alerts, key=lambda v: v.statistic / v.threshold)
+    suspect, others = chosen.suspects[0], tuple(dict.fromkeys(s.groups for s in chosen.suspects[1:]))
+    if sure is None and not (others and all(len(o) > len(suspect.groups) for o in others)):
+        return Decision(reason=_unclear(chosen))
     told = [v.suspects[0].sensors for v in (*clear[::-1], chosen) if v.suspects[0].groups == suspect.groups]
     names = _names(update, suspect.groups, next((s for s in told if s), ()))
     made = (
         Exclusion(
-            update.t_ns, n, chosen.monitor, suspect.statistic, suspect.size, suspect.kind, suspect.onset_ns
+            update.t_ns, n, chosen.monitor, suspect.statistic, suspect.size, suspect.kind, suspect.onset_ns,
+            sure is None, doubtful=sure is None,
         )
         for n in names
-    )
-    return Decision(tuple(made), suspect.onset_ns)
+    )  # fmt: skip
+    return Decision(tuple(made), suspect.onset_ns, alternatives=others if sure is None else ())
 
 
 def _names(update: Update, groups: tuple[str, ...], sensors: tuple[str, ...]) -> tuple[str, ...]:
@@ -254,10 +261,9 @@ def _names(update: Update, groups: tuple[str, ...], sensors: tuple[str, ...]) ->
     return groups
 
 
-def _unclear(alerts: Sequence[Verdict]) -> str:
+def _unclear(verdict: Verdict) -> str:
     """Say who may be at fault, and that nobody is left out."""
-    best = max(alerts, key=lambda v: v.statistic / v.threshold)
-    sets = dict.fromkeys("+".join(s.groups) for s in best.suspects)
+    sets = dict.fromkeys("+".join(s.groups) for s in verdict.suspects)
     return f"ambiguous: at fault may be {' or '.join(sets)}; nothing is left out"
 
 

@@ -249,7 +249,7 @@ class Pipeline:
         standing = dict(now.standing)
         for e in made:
             counts[e.group] = counts.get(e.group, 0) + 1
-            doubtful = e.switch and e.ambiguous
+            doubtful = e.doubtful or (e.switch and e.ambiguous)
             standing[e.group] = Standing(
                 e.onset_ns, epoch.t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful
             )
@@ -314,11 +314,12 @@ def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
     """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for
     it.
     """
-    out = len(update.excluded) + len({e.group for e in new})
-    total = len(update.excluded) + len(update.groups())
-    if out <= policy.most_excluded * total:
+    names = (*update.excluded, *(e.group for e in new))
+    out = {name.partition(".")[0] for name in names}
+    total = out | set(update.groups())
+    if len(out) <= policy.most_excluded * len(total):
         return ""
-    return f"{out} of {total} would be left out: the model does not fit the data, all are kept"
+    return f"{len(out)} of {len(total)} would be left out: the model does not fit the data, all are kept"
 
 
 def _is_reacquired(now: Checkpoint) -> bool:

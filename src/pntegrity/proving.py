@@ -140,7 +140,7 @@ def _places(update: Update, keys: Sequence[str]) -> npt.NDArray[np.intp]:
 
 def _sizes(updates: Sequence[Update], keys: Sequence[str], known: Mapping[str, float]) -> FloatArray:
     """Return by how much each row must be proved not to be off; what rows share is not their own noise."""
-    own = {}
+    own: dict[str, float] = {}
     for u in (u for u in updates if u.keys):
         own.update(zip(u.keys, (np.diagonal(inverse_definite(u.R)) ** -0.5).tolist(), strict=True))
     return np.array([max(abs(known.get(k, 0.0)), LEAST_SIGMA * own[k]) for k in keys])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,6 +31,7 @@ from pntegrity.report.blind_spots import blind_spots
 from pntegrity.report.facts import RunFacts
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import Fault, apply_faults, describe, parse_fault, touches_any
+from pntegrity.states import sensor_of
 
 __all__ = ["RunResult", "load_epochs", "run"]
 
@@ -136,11 +137,20 @@ def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[E
     for fault in faults:
         if not touches_any(fault, epochs):
             keys = {k for e in epochs for o in e.observations for k in o.keys}
-            there = ", ".join(sorted({group_of(k) for k in keys}))
             raise InputError(
-                f"fault: {describe(fault)}: no such row at that time", hint=f"The log has {there}"
+                f"fault: {describe(fault)}: no such row at that time", hint=f"The log has {_named(keys)}"
             )
     return apply_faults(epochs, faults) if faults else epochs
+
+
+def _named(keys: Iterable[str]) -> str:
+    """Return who measures something: groups, and the sensors of sources with the units of their faults."""
+    sensors = sorted({f"{group_of(k)}.{sensor_of(k)}" for k in keys if sensor_of(k)})
+    there = ", ".join(sorted({group_of(k) for k in keys}))
+    if not sensors:
+        return there
+    units = "travel times take ms or s, lengths m, angles deg"
+    return f"{there} ({', '.join(sensors)}); {units}"
 
 
 def _span(config: RunConfig, first_ns: int) -> Span:
@@ -243,6 +253,7 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
         notes=loaded.notes,
         faults=tuple(describe(parse_fault(f)) for f in config.faults),
         started=to_iso(loaded.epochs[0].t_ns) if loaded.epochs else "",
+        sources=tuple(str(table.get("name", table["type"])) for table in config.source),
         interrupted=interrupted,
     )
 

@@ -92,7 +92,8 @@ class Verdict:
     `statistic` and `threshold` are finite where a test was made and 0 otherwise; `p_fa` is the probability of
     a false alarm that the threshold stands for; `suspects` are ordered, the most likely first; `ambiguous`
     tells that the data do not single out the first; `bound` holds the protection levels of monitors that give
-    some.
+    some; `beyond` tells which of them is above its alert limit and makes the position unfit for use, though
+    nobody is at fault.
     """
 
     monitor: str
@@ -107,6 +108,7 @@ class Verdict:
     ambiguous: bool = False
     reason: str = ""
     bound: Bound | None = None
+    beyond: str = ""
 
     @property
     def suspect_groups(self) -> tuple[str, ...]:

@@ -167,6 +167,13 @@ def test_an_ambiguous_verdict_leaves_nobody_out_and_says_who_may_be_at_fault():
     assert "a or b" in found.reason
 
 
+def test_where_all_others_need_more_sources_at_fault_the_first_goes_in_doubt():
+    verdict = says("source_separation", of("a", sensors=("1",)), of("b", "c"), ambiguous=True)
+    found = decide(update((9.0, 9.0, 0.0, 0.0)), [verdict], IDENTIFYING, 5)
+    assert [(e.group, e.doubtful) for e in found.exclusions] == [("a.1", True)]
+    assert found.alternatives == (("b", "c"),)
+
+
 def test_other_monitors_leave_it_to_the_smallest_consistent_subset():
     found = decide(update((99.0, 0.0, 0.0, 0.0)), [says("rctm", of("b"), ambiguous=True)], IDENTIFYING, 5)
     assert [e.group for e in found.exclusions] == ["a"]

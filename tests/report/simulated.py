@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pntegrity.estimators._gnss import GnssOptions, code_rows, rate_rows
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators.spp_kf import SppKf
 from pntegrity.exclusion import Policy
 from pntegrity.monitors.aime import Aime
@@ -18,6 +18,7 @@ from pntegrity.physics.frames import enu_rotation
 from pntegrity.physics.time import civil_to_ns
 from pntegrity.pipeline import Outcome, Pipeline
 from pntegrity.records import Epoch, Observation
+from pntegrity.sensors.pseudoranges import code_rows, rate_rows
 
 TRUTH = np.array([4027881.6280, 306998.5370, 4919498.9840])
 START_NS = civil_to_ns(2019, 1, 14, 6, 15)

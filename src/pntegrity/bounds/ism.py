@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from math import isfinite
 from numbers import Real
@@ -36,6 +36,9 @@ class Ism:
         The troposphere product; all ionosphere products at once.
     p_other : float
         Any other group of rows (a beacon, a source).
+    sources : tuple of (str, float)
+        Sources with a probability of their own, in place of `p_other`; and sensors of sources, ``"lbl.AP1"``,
+        that may fail by themselves (``"lbl.*"``: any of them). Names that never appear do not count.
     satellites : tuple of (str, float)
         Satellites with a probability of their own, in place of the sum above.
     constellations : tuple of (str, float, float)
@@ -87,6 +90,7 @@ class Ism:
     p_trop: float = 1e-5
     p_iono: float = 1e-5
     p_other: float = 1e-5
+    sources: tuple[tuple[str, float], ...] = ()
     satellites: tuple[tuple[str, float], ...] = ()
     constellations: tuple[tuple[str, float, float], ...] = ()
     sectors: int = 0
@@ -141,6 +145,8 @@ class Ism:
             )
             _check(f"constellations.{letter}.p_constellation", p_all, 0.0, 1.0)
         self._check_sectors()
+        for name, p in self.sources:
+            _check_source(name, p)
         for one in self.together:
             _check_together(one)
         names = [name for name, _, _ in self.together]
@@ -173,6 +179,22 @@ class Ism:
             if one == letter:
                 return p_sat, p_all
         return self.p_sat, self.p_constellation
+
+    def source(self, group: str) -> float:
+        """Return the fault probability of a group that is no satellite and no product."""
+        return dict(self.sources).get(group, self.p_other)
+
+    def sensor(self, name: str) -> float | None:
+        """Return that of one sensor of a source (``"lbl.AP1"``); None where it never fails by itself."""
+        own = dict(self.sources)
+        return own.get(name, own.get(f"{name.partition('.')[0]}.*"))
+
+    @property
+    def tells_of_sensors(self) -> bool:
+        """Whether anything is said of single sensors of sources."""
+        return any("." in name for name, _ in self.sources) or any(
+            "." in g for _, own, _ in self.together for g in own
+        )
 
     @property
     def risk(self) -> float:
@@ -217,7 +239,7 @@ class Ism:
         if unknown:
             raise ValueError(f"the integrity support message has no field `{unknown[0]}`")
         given: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in table.items()}
-        for name in ("satellites", "noise", "constellations"):
+        for name in ("sources", "satellites", "noise", "constellations"):
             if name in given:
                 given[name] = _pairs(name, given[name])
         if "together" in given:
@@ -228,7 +250,8 @@ class Ism:
         """Return what `from_table` reads."""
         out = {f.name: getattr(self, f.name) for f in fields(self)}
         out["split"], out["fa_split"] = list(self.split), list(self.fa_split)
-        out["satellites"], out["noise"] = dict(self.satellites), dict(self.noise)
+        for name in ("sources", "satellites", "noise"):
+            out[name] = dict(out[name])
         out["constellations"] = {c: {"p_sat": p, "p_constellation": q} for c, p, q in self.constellations}
         out["together"] = [{"name": n, "groups": list(g), "probability": p} for n, g, p in self.together]
         return out
@@ -267,6 +290,13 @@ def _check_whole(name: str, value: Any, low: int, high: float = float("inf")) ->
 TAKEN = re.compile(r"|[A-Z](\d\d)?|az\d{3}|trop|iono|.*[:+].*")
 
 
+def _check_source(name: Any, p: Any) -> None:
+    source, dot, sensor = name.partition(".") if isinstance(name, str) else ("", "", "")
+    if TAKEN.fullmatch(source) or ":" in sensor or bool(dot) != bool(sensor):
+        raise ValueError(f"`sources` must name sources such as lbl, or sensors such as lbl.AP1, not {name!r}")
+    _check(f"sources.{name}", p, 0.0, 1.0)
+
+
 def _check_together(one: Any) -> None:
     name, groups, p = one
     if not isinstance(name, str) or TAKEN.fullmatch(name):
@@ -292,9 +322,20 @@ def _pairs(name: str, table: Any) -> tuple[tuple[Any, ...], ...]:
     """Return the rows of a nested table, sorted: equal messages are then equal values."""
     if not isinstance(table, Mapping):
         raise ValueError(f"`{name}` must be a table, not {table!r}")
+    if name == "sources":
+        table = dict(_flat(table))
     if name != "constellations":
         return tuple(sorted(table.items()))
     return tuple(_constellation(letter, table[letter]) for letter in sorted(table))
+
+
+def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield sources and sensors: TOML reads ``lbl.AP1 = 1e-5`` without quotes as a table within a table."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{name}.{sensor}", p) for sensor, p in value.items())
+        else:
+            yield name, value
 
 
 def _together(rows: Any) -> tuple[tuple[str, tuple[str, ...], float], ...]:

@@ -16,9 +16,18 @@ from math import prod
 from pntegrity.bounds.ism import Ism
 from pntegrity.bounds.sectors import Sectors
 from pntegrity.errors import InputError
-from pntegrity.states import is_satellite
+from pntegrity.states import group_of, is_satellite, sensor_of
 
-__all__ = ["Event", "FaultModes", "Mode", "events_of", "fault_modes"]
+__all__ = [
+    "Event",
+    "FaultModes",
+    "Mode",
+    "count_probabilities",
+    "events_of",
+    "fault_modes",
+    "modes_of",
+    "names_of",
+]
 
 #: Sets of faults inside one event are counted as that event up to this share of its probability (ADD v4.2).
 CONSOLIDATED = 0.01
@@ -27,7 +36,10 @@ MAX_MODES = 300
 
 @dataclass(frozen=True)
 class Event:
-    """Something that may fail: its name, the rows it spoils, its probability and the groups of those rows."""
+    """Something that may fail: its name, the rows it spoils, its probability and the groups of those rows.
+
+    `groups` also has the sensors (``"lbl.AP1"``) of which the message says something.
+    """
 
     name: str
     patterns: tuple[str, ...]
@@ -68,6 +80,24 @@ class FaultModes:
     reason: str = ""
 
 
+@lru_cache(maxsize=256)
+def names_of(ism: Ism, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Return who can fail among some rows: their groups, and the sensors of sources (``"lbl.AP1"``) of which
+    the message says something; sorted.
+
+    Examples
+    --------
+    >>> names_of(Ism(sources=(("lbl.AP1", 1e-5),)), ("lbl:R.AP1", "lbl:R.AP2", "usbl:R.range"))
+    ('lbl', 'lbl.AP1', 'usbl')
+    """
+    names = {group_of(k) for k in keys}
+    if ism.tells_of_sensors:
+        said = {g for _, own, _ in ism.together for g in own}
+        sensors = {f"{group_of(k)}.{sensor_of(k)}" for k in keys if sensor_of(k)}
+        names |= {s for s in sensors if s in said or ism.sensor(s) is not None}
+    return tuple(sorted(names))
+
+
 @lru_cache(maxsize=1024)
 def events_of(ism: Ism, groups: tuple[str, ...], sectors: Sectors = ()) -> tuple[Event, ...]:
     """Return the events of non-zero probability for the groups that are there, sorted by name.
@@ -79,7 +109,8 @@ def events_of(ism: Ism, groups: tuple[str, ...], sectors: Sectors = ()) -> tuple
     ----------
     ism : Ism
     groups : tuple of str
-        ``"G05"`` (a satellite: a letter and two digits), ``"trop"``, ``"iono"``, or any other.
+        ``"G05"`` (a satellite: a letter and two digits), ``"trop"``, ``"iono"``, any other, or a sensor of
+        one (``"lbl.AP1"``); see `names_of`.
     sectors : tuple of (str, tuple of str)
         Azimuth sectors and their satellites (`sectors.with_risen`); those that are not there do not count.
 
@@ -90,22 +121,39 @@ def events_of(ism: Ism, groups: tuple[str, ...], sectors: Sectors = ()) -> tuple
     """
     groups = tuple(sorted(set(groups)))
     satellites = tuple(g for g in groups if is_satellite(g))
-    events = [_event(ism, g, "iono" in groups) for g in groups]
+    events = [_event(ism, g, groups) for g in groups]
     events += [_constellation(ism, c, satellites) for c in sorted({s[0] for s in satellites})]
     together = [*((name, own, ism.p_sector) for name, own in sectors), *ism.together]
     events += [_joint(name, own, p, groups) for name, own, p in together if not set(own).isdisjoint(groups)]
     return tuple(sorted((e for e in events if e.probability > 0.0), key=lambda e: e.name))
 
 
-def _event(ism: Ism, group: str, products: bool) -> Event:
+def _event(ism: Ism, group: str, groups: tuple[str, ...]) -> Event:
     if is_satellite(group):
-        return Event(group, _patterns(group), ism.satellite(group, products), (group,))
-    probability = {"trop": ism.p_trop, "iono": ism.p_iono}.get(group, ism.p_other)
-    return Event(group, _patterns(group), probability, (group,))
+        return Event(group, _patterns(group), ism.satellite(group, "iono" in groups), (group,))
+    return Event(group, _patterns(group), _of_source(ism, group, groups), _within((group,), groups))
+
+
+def _of_source(ism: Ism, group: str, groups: tuple[str, ...]) -> float:
+    """Return the probability of a product, a source, or a sensor; 0 for one that fails with others only."""
+    own = ism.sensor(group) if "." in group else None
+    if own is not None:
+        return own
+    if group.partition(".")[0] in groups and "." in group:
+        return 0.0
+    return {"trop": ism.p_trop, "iono": ism.p_iono}.get(group, ism.source(group))
+
+
+def _within(own: tuple[str, ...], groups: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the groups among `own`, and the sensors of sources among them."""
+    return tuple(g for g in groups if g in own or g.partition(".")[0] in own)
 
 
 def _patterns(group: str) -> tuple[str, ...]:
-    return (f"{group}:*", f"*:{group}") if is_satellite(group) else (f"{group}:*",)
+    if is_satellite(group):
+        return (f"{group}:*", f"*:{group}")
+    source, dot, sensor = group.partition(".")
+    return (f"{group}:*", f"{source}:*.{sensor}") if dot else (f"{group}:*",)
 
 
 def _joint(name: str, own: tuple[str, ...], probability: float, groups: tuple[str, ...]) -> Event:
@@ -116,13 +164,24 @@ def _joint(name: str, own: tuple[str, ...], probability: float, groups: tuple[st
             hint="give it another name",
         )
     patterns = tuple(p for g in own for p in _patterns(g))
-    return Event(name, patterns, probability, tuple(g for g in sorted(own) if g in groups))
+    return Event(name, patterns, probability, _within(own, groups))
 
 
 def _constellation(ism: Ism, letter: str, satellites: tuple[str, ...]) -> Event:
     patterns = (f"{letter}[0-9][0-9]:*", f"*:{letter}[0-9][0-9]")  # `G05:C1C` is no row of BeiDou
     own = tuple(s for s in satellites if s[0] == letter)
     return Event(letter, patterns, ism.constellation(letter)[1], own)
+
+
+def modes_of(
+    ism: Ism, groups: tuple[str, ...], sectors: Sectors = ()
+) -> tuple[tuple[Event, ...], FaultModes]:
+    """Return the events of the groups that are there, and the modes to monitor; see `events_of`.
+
+    What the separation monitor carries and what the risk tree shows is both made here.
+    """
+    events = events_of(ism, groups, sectors)
+    return events, fault_modes(events, ism.p_hmi, ism.p_unmonitored, ism.max_modes)
 
 
 @lru_cache(maxsize=1024)
@@ -154,7 +213,7 @@ def fault_modes(
     v3.1 (the bound), v4.2 (order, consolidation).
     """
     events = tuple(sorted((e for e in events if e.probability > 0.0), key=lambda e: -e.probability))
-    counts = _counts(events)
+    counts = count_probabilities(events)
     found = _Found({}, {e.name: CONSOLIDATED * e.probability for e in events}, most)
     unmonitored = sum(counts[1:])
     for r in range(1, len(events) + 1):
@@ -174,7 +233,7 @@ def _too_much(unmonitored: float, budget: float, modes: int) -> str:
     )
 
 
-def _counts(events: tuple[Event, ...]) -> list[float]:
+def count_probabilities(events: tuple[Event, ...]) -> list[float]:
     """Return the probability that exactly 0, 1, 2, ... of the events happen."""
     out = [1.0]
     for e in events:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from math import prod
+from math import comb, prod
 
-from pntegrity.bounds.modes import Event, FaultModes, fault_modes
+from pntegrity.bounds.ism import Ism
+from pntegrity.bounds.modes import Event, FaultModes, count_probabilities, fault_modes, modes_of
+from pntegrity.bounds.sectors import Sectors
 
-__all__ = ["Branch", "RiskTree", "risk_tree"]
+__all__ = ["Branch", "RiskTree", "risk_tree", "tree_of"]
+
+#: Of more simultaneous faults than can be listed with this many branches, only those monitored are.
+MOST_BRANCHES = 512
 
 
 @dataclass(frozen=True)
 class Branch:
-    """One hypothesis: the sources that are at fault, and no others.
+    """One hypothesis: the sources (and sensors) that are at fault, and no others.
 
     Parameters
     ----------
@@ -38,23 +43,26 @@ class RiskTree:
     Parameters
     ----------
     branches : tuple of Branch
-        All, by the number of sources at fault, the most probable first.
+        By the number of faults, the most probable first: all, or of numbers with too many the monitored ones.
     together : int
-        How many simultaneous faults are monitored at least.
+        How many simultaneous faults are monitored, in one mode at least.
     unmonitored : float
-        Probability of all that is not.
+        Bound of the probability of all that is not: what comes off the integrity risk.
     modes : FaultModes
         The monitored ones, for protection levels.
+    at_once : tuple of float
+        Probability of exactly 0, 1, 2, ... faults.
     """
 
     branches: tuple[Branch, ...]
     together: int
     unmonitored: float
     modes: FaultModes
+    at_once: tuple[float, ...]
 
     def beyond(self, together: int) -> float:
         """Return the probability of more faults than that at once, eq. (22) for any priors."""
-        return sum(b.probability for b in self.branches if len(b.sources) > together)
+        return sum(self.at_once[together + 1 :])
 
 
 def risk_tree(prior: Mapping[str, float], p_hmi: float, share: float = 0.8) -> RiskTree:
@@ -82,20 +90,63 @@ def risk_tree(prior: Mapping[str, float], p_hmi: float, share: float = 0.8) -> R
         if not 0.0 < p < 1.0:
             raise ValueError(f"`prior.{name}` must be a probability above 0 and below 1, not {p!r}")
     events = tuple(Event(name, (f"{name}:*",), p, (name,)) for name, p in sorted(prior.items()))
-    modes = fault_modes(events, p_hmi, share * p_hmi)
-    watched = {frozenset(m.events) for m in modes.monitored}
-    branches = tuple(
-        Branch(names, p, not names or frozenset(names) in watched)
-        for size in range(len(prior) + 1)
-        for names, p in _by_probability(prior, size)
-    )
+    return _tree(events, fault_modes(events, p_hmi, share * p_hmi))
+
+
+def tree_of(ism: Ism, groups: tuple[str, ...], sectors: Sectors = ()) -> RiskTree:
+    """Return the tree of what is there now, as the separation monitor has it: the same events and modes.
+
+    Parameters
+    ----------
+    ism : Ism
+        Its priors, its risk and what of it may be left unmonitored.
+    groups : tuple of str
+        `modes.names_of` gives those of an update's rows, with the sensors that may fail by themselves.
+    sectors : tuple of (str, tuple of str)
+        Azimuth sectors and their satellites.
+
+    Examples
+    --------
+    >>> tree = tree_of(Ism(sources=(("lbl", 1e-4), ("usbl", 1e-5))), ("lbl", "usbl"))
+    >>> [b.sources for b in tree.branches if b.monitored]
+    [(), ('lbl',), ('usbl',)]
+    """
+    return _tree(*modes_of(ism, groups, sectors))
+
+
+def _tree(events: tuple[Event, ...], modes: FaultModes) -> RiskTree:
     together = max((len(m.events) for m in modes.monitored), default=0)
-    return RiskTree(branches, together, sum(b.probability for b in branches if not b.monitored), modes)
+    at_once = tuple(count_probabilities(events))
+    return RiskTree(tuple(_branches(events, modes)), together, modes.unmonitored, modes, at_once)
 
 
-def _by_probability(prior: Mapping[str, float], size: int) -> list[tuple[tuple[str, ...], float]]:
-    found = [
-        (names, prod(p if name in names else 1.0 - p for name, p in prior.items()))
-        for names in combinations(sorted(prior), size)
-    ]
-    return sorted(found, key=lambda one: -one[1])
+def _branches(events: tuple[Event, ...], modes: FaultModes) -> Iterator[Branch]:
+    """Yield the branches, by size and then by probability."""
+    watched = {frozenset(m.events) for m in modes.monitored}
+    left = MOST_BRANCHES
+    for size in range(len(events) + 1):
+        left -= comb(len(events), size)
+        whole = size < 2 or left >= 0
+        sets = combinations(events, size) if whole else _of(events, watched, size)
+        found = [
+            Branch(tuple(e.name for e in s), _exactly(s, events), not s or _largest(s) in watched)
+            for s in sets
+        ]
+        yield from sorted(found, key=lambda b: -b.probability)
+
+
+def _of(events: tuple[Event, ...], watched: set[frozenset[str]], size: int) -> Iterator[tuple[Event, ...]]:
+    """Yield the monitored sets of a size."""
+    for names in watched:
+        if len(names) == size:
+            yield tuple(e for e in events if e.name in names)
+
+
+def _exactly(chosen: tuple[Event, ...], events: tuple[Event, ...]) -> float:
+    """Return the probability of some events and no others."""
+    return prod(e.probability if e in chosen else 1.0 - e.probability for e in events)
+
+
+def _largest(chosen: tuple[Event, ...]) -> frozenset[str]:
+    """Return the names without those of events that another one holds, as a source its sensors."""
+    return frozenset(e.name for e in chosen if not any(set(e.groups) < set(other.groups) for other in chosen))

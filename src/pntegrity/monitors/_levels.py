@@ -19,11 +19,15 @@ from pntegrity.kernels.protection import (
     protection_level,
 )
 from pntegrity.monitors._members import Cast
-from pntegrity.records import Bound, FloatArray
+from pntegrity.monitors._window import no_redundancy
+from pntegrity.records import Bound, FloatArray, Update, join_reasons
 
-__all__ = ["Spread", "bound_of", "factors", "shares", "still_born"]
+__all__ = [
+    "NO_MODES", "Spread", "beyond", "bound_of", "factors", "shares", "silence", "still_born", "why_untested",
+]  # fmt: skip
 
 Value = TypeVar("Value")
+NO_MODES = "no fault mode has a probability: nothing is tested"
 #: Share of a variance below which a difference of two is rounding.
 ROUNDING = 1e-9
 #: A separation that is expected, in its standard deviations, where levels are made of those observed. Levels
@@ -93,6 +97,14 @@ class Spread:
     def testable(self, rows: slice) -> npt.NDArray[np.bool_]:
         """Return where a separation can be told from rounding."""
         return self.tells(self.separation[rows])
+
+    def moves(self, expected: float, observed: float) -> npt.NDArray[np.bool_]:
+        """Return which members are apart from the filter by more than so many of its standard deviations, as
+        expected or as observed, in any direction.
+        """
+        sigma = np.sqrt(self.variance[0])
+        apart = np.abs(self.apart) > observed * sigma if np.isfinite(observed) else False
+        return np.asarray(((self.separation > (expected * sigma) ** 2) | apart).any(axis=1))
 
     def tells(self, variance: FloatArray) -> npt.NDArray[np.bool_]:
         """Return where the variance of a difference, shape (n, directions), is more than rounding."""
@@ -206,3 +218,31 @@ def _reason(levels: list[float], names: list[str], determined: bool, reason: str
         return "the measurements do not determine the position"
     lost = dict.fromkeys(n for n, level in zip(names, levels, strict=True) if n and not np.isfinite(level))
     return "nothing is left to check against without " + ", ".join(lost) if lost else "the risk is used up"
+
+
+def why_untested(bound: Bound, cast: Cast, update: Update) -> str:
+    """Return why nothing is tested."""
+    if cast.faults.monitored:
+        return no_redundancy(update) if np.isfinite(bound.hpl_m + bound.vpl_m) else bound.reason
+    return NO_MODES if update.keys else bound.reason
+
+
+def silence(update: Update, seen_ns: int) -> str:
+    """Return since when there is no row at all, in words: then levels grow with the dynamics alone."""
+    if update.keys:
+        return ""
+    return f"no row of any source was used for {(update.t_ns - seen_ns) * 1e-9:.0f} s: levels grow"
+
+
+def beyond(bound: Bound, ism: Ism) -> tuple[str, str]:
+    """Return which protection level is above its alert limit, in words: alike at all epochs, and with the
+    level of this one.
+    """
+    levels = (("horizontal", bound.hpl_m, ism.hal_m), ("vertical", bound.vpl_m, ism.val_m))
+    found = [(name, level, limit) for name, level, limit in levels if level > limit]
+    always = (f"{name} protection level above the alert limit of {limit:g} m" for name, _, limit in found)
+    now = (
+        f"the {name} protection level of {level:.3g} m is above the alert limit of {limit:g} m"
+        for name, level, limit in found
+    )
+    return join_reasons(always), join_reasons(now)

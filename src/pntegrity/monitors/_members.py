@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.bounds.ism import Ism
-from pntegrity.bounds.modes import Event, FaultModes, events_of, fault_modes
+from pntegrity.bounds.modes import Event, FaultModes, modes_of
 from pntegrity.bounds.sectors import Sectors
 from pntegrity.records import FloatArray
 from pntegrity.states import group_of, rows_touched_by
@@ -61,8 +61,7 @@ def cast_of(
     `ordered`: those without two events are two members, each of which goes on from the member without the
     first and does without the second since a switch only. `sectors`: see `events_of`.
     """
-    events = events_of(ism, groups, sectors)
-    faults = fault_modes(events, ism.p_hmi, ism.p_unmonitored, ism.max_modes)
+    events, faults = modes_of(ism, groups, sectors)
     members = dict.fromkeys([(), *(tuple(sorted(m.events)) for m in faults.monitored)])
     members |= dict.fromkeys((e.name,) for e in events)
     both = _pairs(events, ordered) if pairs else {}

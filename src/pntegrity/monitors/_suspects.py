@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pntegrity.bounds.modes import Event
 from pntegrity.monitors._levels import Spread
 from pntegrity.monitors._members import Cast
 from pntegrity.records import FloatArray, Suspect, Update
+from pntegrity.states import group_of, sensor_of
 from pntegrity.verdicts import SEPARATION
 
 __all__ = ["suspects_of"]
@@ -25,19 +27,22 @@ def suspects_of(
     """
     own = _own(spread, cast, K)
     statistic = _retests(spread, cast, K) if pairs else 1.0 / np.maximum(own, 1e-9)
-    found = []
+    found = {}
     for i in np.lexsort((-own, statistic)).tolist():
-        event = cast.events[i]
-        groups = tuple(g for g in event.groups if g in update.groups())
-        if groups and np.isfinite(statistic[i]):
+        present = _present(cast.events[i], update)
+        if present and np.isfinite(statistic[i]):
             size = float(np.abs(spread.apart[cast.single[i], :3]).max())
-            found.append(Suspect(groups, SEPARATION, size, update.t_ns, float(statistic[i])))
-    return tuple(s for s in found if not _holds_another(s, found))[:MOST]
+            groups = tuple(g for g in present if "." not in g or g.partition(".")[0] not in present)
+            found[i] = Suspect(groups, SEPARATION, size, update.t_ns, float(statistic[i])), frozenset(present)
+    explains = [parts for s, parts in found.values() if s.statistic <= 1.0]
+    return tuple(s for s, parts in found.values() if not any(p < parts for p in explains))[:MOST]
 
 
-def _holds_another(suspect: Suspect, found: list[Suspect]) -> bool:
-    """Tell whether a part of a suspect explains the data as well."""
-    return any(set(s.groups) < set(suspect.groups) and s.statistic <= 1.0 for s in found)
+def _present(event: Event, update: Update) -> tuple[str, ...]:
+    """Return the groups and sensors of an event that the update has rows of."""
+    groups = update.groups()
+    sensors = {f"{group_of(k)}.{sensor_of(k)}" for k in update.keys}
+    return tuple(g for g in event.groups if g in groups or g in sensors)
 
 
 def _own(spread: Spread, cast: Cast, K: FloatArray) -> FloatArray:

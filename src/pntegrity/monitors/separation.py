@@ -9,19 +9,28 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.bounds.ism import Ism
+from pntegrity.bounds.modes import names_of
 from pntegrity.bounds.sectors import Sectors, with_risen
 from pntegrity.kernels.axes import local_axes, track_axes
 from pntegrity.kernels.carried_test import CarriedTest
 from pntegrity.kernels.companions import Companions, accompany
 from pntegrity.kernels.separation import Subfilters, advance, gains, predicted, replicate
 from pntegrity.monitors._biases import with_nominal
-from pntegrity.monitors._levels import Spread, bound_of, factors, still_born
+from pntegrity.monitors._levels import (
+    NO_MODES,
+    Spread,
+    beyond,
+    bound_of,
+    factors,
+    silence,
+    still_born,
+    why_untested,
+)
 from pntegrity.monitors._members import (
     Cast,
     Member,
     Sources,
     cast_of,
-    groups_of,
     in_order,
     nested,
     sources,
@@ -32,7 +41,6 @@ from pntegrity.monitors._sectors import azimuths, why_unplaced
 from pntegrity.monitors._suspects import suspects_of
 from pntegrity.monitors._window import no_redundancy, unavailable
 from pntegrity.records import (
-    Bound,
     FloatArray,
     Layout,
     State,
@@ -45,9 +53,10 @@ from pntegrity.records import (
 BoolArray = npt.NDArray[np.bool_]
 #: What a group that is out of view moves the position by, in standard deviations, to be remembered.
 FORGOTTEN = 0.05
+#: The same of a separation that nobody has tested: five times what is expected then.
+UNTESTED = 0.25
 #: A way has a course where it is this many standard deviations long, and this many metres.
 COURSE_SIGMA, COURSE_M = 5.0, 0.5
-NO_MODES = "no fault mode has a probability: nothing is tested"
 NO_ALERTS = "levels are made of the separations observed: these give no alert"
 
 
@@ -59,7 +68,8 @@ class SeparationMemory:
     when what it is without was left out (or since ever, when the bank began), and `born_m2` the variance with
     which its position was born, where rows have not determined it since; `loose`: it is no part of the filter
     (see `Sources`). `ordered`: see `cast_of`. `biased`
-    are the rows with a nominal bias that the bank carries, `sectors` who fails together with whom.
+    are the rows with a nominal bias that the bank carries, `sectors` who fails together with whom, `seen_ns`
+    when there last were any rows (or the bank began).
     """
 
     t_ns: int = 0
@@ -75,6 +85,7 @@ class SeparationMemory:
     biased: tuple[str, ...] = ()
     beside: Companions | None = None
     sectors: Sectors = ()
+    seen_ns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +194,9 @@ class Separation:
             return unavailable(self.name, self.variant, update, why), after
         spread = self._spread(memory, after, update)
         since_ns = int(after.began_ns[: 1 + len(cast.faults.monitored)].max())
-        verdict = self._judge(spread, cast, update, since_ns, why_unplaced(self.ism, after.sectors, update))
-        return verdict, replace(after, groups=_remembered(after.groups, update, cast, spread))
+        note = join_reasons([why_unplaced(self.ism, after.sectors, update), silence(update, after.seen_ns)])
+        verdict = self._judge(spread, cast, update, since_ns, note)
+        return verdict, replace(after, groups=self._remembered(after.groups, update, cast, spread))
 
     def plan(self, memory: SeparationMemory, update: Update) -> tuple[CarriedTest, SeparationMemory]:
         """Return the test of `update`, without data, and the memory after it; without pairs."""
@@ -213,7 +225,7 @@ class Separation:
             1 + round((update.t_ns - int(step.began_ns[0])) * 1e-9),
             self._untested(bool(inverse.any())),
         )  # fmt: skip
-        after = replace(after, groups=_remembered(after.groups, update, cast, spread))
+        after = replace(after, groups=self._remembered(after.groups, update, cast, spread))
         return test, after
 
     def _untested(self, modes: bool) -> str:
@@ -224,8 +236,8 @@ class Separation:
     def carried(self, memory: SeparationMemory, update: Update) -> tuple[Cast, SeparationMemory]:
         """Return the subfilters' cast for `update`, and the memory after it."""
         follows = _follows(memory, update)
-        present = set(groups_of(update.keys))
-        groups = tuple(sorted(present.union(memory.groups if follows else ())))
+        known = memory.groups if follows else ()
+        groups = tuple(sorted({*names_of(self.ism, update.keys), *known}))
         ordered = follows and (memory.ordered or bool(update.switched))
         sectors = self._sectors(memory, update, follows)
         cast = cast_of(self.ism, groups, self.pairs and self.variant == "exact", ordered, sectors)
@@ -246,6 +258,7 @@ class Separation:
             update.t_ns, update.posterior.layout, cast.members, bank, groups, step.began_ns, born,
             update.posterior.mean[position], step.loose, ordered, biased,
             self._beside(step, update, used[: 1 + len(cast.faults.monitored)]), sectors,
+            memory.seen_ns if follows and not update.keys else update.t_ns,
         )  # fmt: skip
 
     def _sectors(self, memory: SeparationMemory, update: Update, follows: bool) -> Sectors:
@@ -284,6 +297,7 @@ class Separation:
         if not groups:
             return ()
         events = cast_of(self.ism, memory.groups, False, False, memory.sectors).events
+        groups |= {g for g in memory.groups if g.partition(".")[0] in groups}
         whole = [e for e in events if frozenset(e.groups) == groups]
         chosen = whole[:1] or [e for e in events if e.groups and frozenset(e.groups) <= groups]
         return tuple(sorted(e.name for e in chosen))
@@ -308,15 +322,18 @@ class Separation:
         tested = allowed > 0.0
         bound = bound_of(spread, cast, self.ism, allowed, since_ns, observed)
         bound = replace(bound, reason=join_reasons([bound.reason, note]))
+        over, level = beyond(bound, self.ism) if observed else ("", "")
         if not tested.any():
-            why = NO_MODES if not cast.faults.monitored else no_redundancy(update)
-            return replace(unavailable(self.name, self.variant, update, why), bound=bound)
+            why = join_reasons([level, why_untested(bound, cast, update)])
+            return replace(unavailable(self.name, self.variant, update, why), bound=bound, beyond=over)
         ratio = np.abs(spread.apart[modes])[tested] / allowed[tested] * self.factor
         facts = (float(ratio.max()), self.factor, self.p_fa, int(tested.sum()))
         if observed:
-            why = _beyond(bound, self.ism)
-            status: Status = "unavailable" if why else "ok"
-            return Verdict(self.name, self.variant, update.t_ns, status, *facts, reason=why, bound=bound)
+            status: Status = "unavailable" if over else "ok"
+            why = join_reasons([level, note])
+            return Verdict(
+                self.name, self.variant, update.t_ns, status, *facts, reason=why, bound=bound, beyond=over
+            )
         if facts[0] <= self.factor:
             return Verdict(self.name, self.variant, update.t_ns, "ok", *facts, bound=bound)
         with_pairs = self.variant == "exact" and bool(cast.pairs)
@@ -324,6 +341,23 @@ class Separation:
         ambiguous = with_pairs and len(suspects) > 1 and suspects[1].statistic <= 1.0
         none = None if self.variant == "published" else bound
         return Verdict(self.name, self.variant, update.t_ns, "alert", *facts, suspects, ambiguous, bound=none)
+
+    def _remembered(
+        self, groups: tuple[str, ...], update: Update, cast: Cast, spread: Spread
+    ) -> tuple[str, ...]:
+        """Return the groups in view, and who still moves the position, alone or with who fails with it."""
+        present = names_of(self.ism, update.keys)
+        if len(groups) == len(present):
+            return groups
+        apart = UNTESTED if self.levels == "observed" else np.inf
+        moves = spread.moves(FORGOTTEN, apart)
+        gone = [
+            e
+            for e, i in zip(cast.events, cast.single, strict=True)
+            if moves[i] and set(present).isdisjoint(e.groups)
+        ]
+        kept = {g for e in gone for g in e.groups}
+        return tuple(g for g in groups if g in present or g in kept)
 
     def _factors(self, spread: Spread, cast: Cast) -> FloatArray:
         """Return the factor of the standard deviation in each direction."""
@@ -336,16 +370,6 @@ class Separation:
         testable = spread.testable(modes)
         allowed = self._factors(spread, cast) * np.sqrt(np.where(testable, spread.separation[modes], 0.0))
         return np.where(testable & np.isfinite(allowed), allowed, 0.0)
-
-
-def _beyond(bound: Bound, ism: Ism) -> str:
-    """Return which protection level is above its alert limit, in words."""
-    levels = (("horizontal", bound.hpl_m, ism.hal_m), ("vertical", bound.vpl_m, ism.val_m))
-    return join_reasons(
-        f"the {name} protection level of {level:.3g} m is above the alert limit of {limit:g} m"
-        for name, level, limit in levels
-        if level > limit
-    )
 
 
 def _follows(memory: SeparationMemory, update: Update) -> bool:
@@ -370,18 +394,3 @@ def _born(update: Update, P: FloatArray, before: FloatArray) -> FloatArray:
     if update.F[position].any() or not len(position):
         return before
     return np.full(len(before), float(np.diagonal(P)[position].min()))
-
-
-def _remembered(groups: tuple[str, ...], update: Update, cast: Cast, spread: Spread) -> tuple[str, ...]:
-    """Return the groups in view, and those that still move the position, alone or all that fail together."""
-    present = groups_of(update.keys)
-    if len(groups) == len(present):
-        return groups
-    moves = (spread.separation > FORGOTTEN**2 * spread.variance[0]).any(axis=1)
-    gone = [
-        e
-        for e, i in zip(cast.events, cast.single, strict=True)
-        if moves[i] and present.keys().isdisjoint(e.groups)
-    ]
-    kept = {g for e in gone for g in e.groups}
-    return tuple(g for g in groups if g in present or g in kept)

@@ -11,13 +11,14 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pntegrity.evaluate.whiteness import KINDS
 from pntegrity.report.facts import RunFacts
-from pntegrity.report.sentences import Sentence
+from pntegrity.report.sentences import Sentence, kind_words
 from pntegrity.report.summary import headline
-from pntegrity.report.units import duration, length
+from pntegrity.report.units import duration, length, percent
 
 __all__ = [
-    "Figures", "details", "escaped", "flat", "header", "monitor_table", "percent", "plot", "section",
+    "Figures", "details", "escaped", "flat", "header", "monitor_table", "plot", "section",
     "story_list", "table_of", "whiteness_table",
 ]  # fmt: skip
 
@@ -103,17 +104,32 @@ def _numbers(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
             "Unresolved alerts",
             str(alarms),
             "epochs",
-            "an alarm remained after exclusion" if alarms else "none remained",
+            _of_alerts(alarms, s["limit_alerts"]),
         ),
+        ("Left out", str(len(gone)), _kinds(s, gone), f"{s['readmissions']} readmissions"),
         (
-            "Left out",
-            str(len(gone)),
-            "satellites" if len(gone) != 1 else "satellite",
-            f"{s['readmissions']} readmissions",
+            "Satellites used" if s["sources"] is None else "Sources used",
+            f"{used['used_mean']:.1f}",
+            "mean",
+            f"never fewer than {used['used_min']}",
         ),
-        ("Satellites used", f"{used['used_mean']:.1f}", "mean", f"never fewer than {used['used_min']}"),
     ]
     return [*out, *_accuracy(s)]
+
+
+def _of_alerts(alerts: int, of_limits: int) -> str:
+    """Say why there were alerts."""
+    if of_limits:
+        return f"{of_limits} of them: level above its alert limit"
+    return "an alarm remained after exclusion" if alerts else "none remained"
+
+
+def _kinds(s: Mapping[str, Any], gone: Sequence[str]) -> str:
+    """Return what those that were left out are: satellites, sources, sensors of these."""
+    parts = {"." in name for name in gone}
+    word = "satellite" if s["sources"] is None else "sensor" if parts == {True} else "source"
+    both = " and sensors" if len(parts) == 2 and word == "source" else ""
+    return f"{word}{'s' * (len(gone) != 1)}{both}"
 
 
 def _accuracy(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -129,11 +145,6 @@ def _accuracy(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     value, name = length(math.hypot(sigma["e"], sigma["n"])).split()
     note = f"as the filter states it; up {length(sigma['u'])}. No truth given"
     return [("Horizontal sigma", value, name, note)]
-
-
-def percent(share: float) -> str:
-    """Return a share in per cent, rounded down: 100 means all."""
-    return f"{math.floor(1000.0 * share + 1e-9) / 10.0:g}"
 
 
 def story_list(sentences: Sequence[Sentence], facts: RunFacts) -> str:
@@ -197,7 +208,7 @@ def whiteness_table(numbers: Mapping[str, Any], facts: RunFacts) -> str:
     rows = "".join(
         f"<tr><th>{word}</th>{''.join(_correlation(r) for r in w[kind]['autocorrelation'])}"
         f"<td>{_short(w[kind]['mean_square'])}</td></tr>"
-        for word, kind in (("Code", "code"), ("Carrier", "carrier"), ("Range rate", "rate"))
+        for word, kind in zip(kind_words(numbers["sources"] is not None), KINDS, strict=True)
         if w[kind]["count"]
     )
     spots = "".join(f"<li>{escaped(b)}</li>" for b in facts.blind_spots)

@@ -12,9 +12,19 @@ import polars as pl
 
 from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.time import to_iso
+from pntegrity.pipeline import Outcome
 from pntegrity.records import group_of
+from pntegrity.states import is_satellite, sensor_of
 
-__all__ = ["column", "family_counts", "groups_in", "or_inf", "stamps"]
+__all__ = [
+    "HELD", "column", "family_counts", "groups_in", "is_part_of", "is_vehicle",
+    "member_of", "members_in", "names_in", "or_inf", "stamps",
+]  # fmt: skip
+
+HELD = 2.5
+"""Who measures less often than the epochs come is there for so many of its usual intervals."""
+KINDS = ("R", "A")
+"""How the rows of a source begin that are no rates: ranges and levels, angles."""
 
 
 @lru_cache(maxsize=4096)
@@ -23,10 +33,48 @@ def groups_in(keys: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(map(group_of, keys)))
 
 
+def member_of(key: str) -> str:
+    """Return the smallest that can be left out: a sensor of a source (``"lbl.AP1"``), else the group."""
+    source, sensor = group_of(key), sensor_of(key)
+    return f"{source}.{sensor}" if sensor else source
+
+
+@lru_cache(maxsize=4096)
+def members_in(keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the sensors, or groups, of some rows, each once, in order."""
+    return tuple(dict.fromkeys(map(member_of, keys)))
+
+
+@lru_cache(maxsize=4096)
+def names_in(keys: tuple[str, ...]) -> frozenset[str]:
+    """Return all that can be left out of some rows: groups, and sensors of sources."""
+    return frozenset((*groups_in(keys), *members_in(keys)))
+
+
+def is_vehicle(outcomes: Sequence[Outcome]) -> bool:
+    """Tell whether the rows of a run are those of sources of a vehicle."""
+    return any(_of_source(keys) for o in outcomes for keys in (o.update.keys, o.update.spare_keys))
+
+
+@lru_cache(maxsize=4096)
+def _of_source(keys: tuple[str, ...]) -> bool:
+    """Tell whether any row is one of a source: of a kind, as `sensors.source` has it, or of a sensor."""
+    return any(sensor_of(key) or _has_kind(*key.split(":", 1)) for key in keys)
+
+
+def _has_kind(group: str, about: str = "") -> bool:
+    return about[:1] in KINDS and not is_satellite(group) and not is_satellite(about)
+
+
+def is_part_of(member: str, name: str) -> bool:
+    """Tell whether a sensor (or group) goes with what is left out: itself, or its source."""
+    return member == name or member.startswith(f"{name}.")
+
+
 @lru_cache(maxsize=4096)
 def family_counts(keys: tuple[str, ...]) -> Counter[str]:
-    """Return how many groups of each family (constellation) some rows belong to."""
-    return Counter(map(family_of, groups_in(keys)))
+    """Return how many groups of each family (constellation), or sensors of each source, some rows have."""
+    return Counter(family_of(m) if is_satellite(m) else m.partition(".")[0] for m in members_in(keys))
 
 
 def column(values: npt.ArrayLike) -> pl.Series:

@@ -45,6 +45,8 @@ class RunFacts:
         Which atmosphere products were used, and whether they are self-derived, a line each.
     truth_velocity_mps, truth_attitude_rad : ndarray, shape (n_epochs, 3), optional
         True ECEF velocity, and true roll, pitch and heading, as `truth_m`.
+    sources : tuple of str
+        Names of the sources of a vehicle, also of those that never said anything.
     sections : tuple of str
         What each epoch's surroundings are called (``"open"``, ``"challenging"``, ``"denied"``); empty: they
         are told from what the receiver saw.
@@ -69,6 +71,7 @@ class RunFacts:
     truth_velocity_mps: FloatArray | None = None
     truth_attitude_rad: FloatArray | None = None
     sections: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("truth_m", "truth_velocity_mps", "truth_attitude_rad"):

@@ -12,6 +12,7 @@ import html
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,15 +23,17 @@ from pntegrity.evaluate.whiteness import KINDS, judged, row_kinds
 from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.signals import WORDS
 from pntegrity.pipeline import Outcome
-from pntegrity.records import FloatArray, group_of
-from pntegrity.report.columns import family_counts
-from pntegrity.report.sentences import clock_time
-from pntegrity.report.story import Absence, absences, cause_text
+from pntegrity.records import FloatArray
+from pntegrity.report.columns import family_counts, is_part_of, is_vehicle, member_of, members_in
+from pntegrity.report.sentences import clock_time, kind_words
+from pntegrity.report.story import Absence, absences
 
 __all__ = ["Figure", "Frame", "array", "axes", "frame", "satellites", "status", "timeline", "used"]
 
 ORDER = "GERCJIS"
-"""Constellations in the order in which they are shown."""
+"""Constellations in the order in which they are shown, and their colours those of sources, one after
+another.
+"""
 UNIX_GPS_MS = 315_964_800_000
 """1980-01-06 in milliseconds of the axis (a calendar without leap seconds: the axis shows GPS time)."""
 LANE_PX = 11
@@ -78,6 +81,11 @@ class Frame:
     x_ms: FloatArray
     at: npt.NDArray[np.intp]
     gone: tuple[Absence, ...]
+
+    @cached_property
+    def is_vehicle(self) -> bool:
+        """Whether the rows are those of sources of a vehicle."""
+        return is_vehicle(self.outcomes)
 
     def place(self, values: FloatArray) -> FloatArray:
         """Return values of the outcomes (last axis) at the instants of the axis, nan in gaps."""
@@ -195,7 +203,7 @@ def timeline(f: Frame) -> Figure:
         "type": "scatter", "mode": "text",
         "x": [x if end else b + w for x, (b, w), end in zip(starts, spans, late, strict=True)],
         "y": [safe(a.group) for a in f.gone],
-        "text": [f"  {safe(cause_text(a.exclusion))}  " if a in labelled else "" for a in f.gone],
+        "text": [f"  {safe(a.cause)}  " if a in labelled else "" for a in f.gone],
         "textposition": ["middle left" if end else "middle right" for end in late], "textfont": {"size": 11},
         "hoverinfo": "skip",
     }  # fmt: skip
@@ -214,7 +222,7 @@ def _bar_text(f: Frame, a: Absence) -> str:
     onset = clock_time(a.exclusion.onset_ns)
     lines = [
         f"<b>{safe(a.group)}</b> {clock_time(f.outcomes[a.start].t_ns)} to {until}",
-        safe(cause_text(a.exclusion)),
+        safe(a.cause),
         f"onset {onset}",
     ]
     return "<br>".join(
@@ -223,12 +231,13 @@ def _bar_text(f: Frame, a: Absence) -> str:
 
 
 def satellites(f: Frame) -> Figure:
-    """Return normalised innovations, a lane a group and a view a kind; what was left out is underlined.
+    """Return normalised innovations, a lane a group (or sensor) and a view a kind; what was left out is
+    underlined.
 
     Each is what its row says beside all others of the epoch. The residual of a group that is left out is the
     one against the solution without it.
     """
-    found = zip(("Code", "Carrier", "Range rate"), _normalised(f), strict=True)
+    found = zip(kind_words(f.is_vehicle), _normalised(f), strict=True)
     views = [(name, part) for name, part in found if part[0]]
     data: list[dict[str, Any]] = []
     shown = []
@@ -256,8 +265,8 @@ def _normalised(f: Frame) -> list[tuple[list[str], FloatArray]]:
     values = [_judged_and_spare(o) for o in f.outcomes]
     for kind in KINDS:
         mine = [k for k, found in kind_of.items() if found == kind]
-        groups = ordered({group_of(k) for k in mine})[::-1]
-        row = {k: groups.index(group_of(k)) for k in mine}
+        groups = ordered({member_of(k) for k in mine})[::-1]
+        row = {k: groups.index(member_of(k)) for k in mine}
         z = np.full((len(values), len(groups)), np.nan)
         for j, parts in enumerate(values):
             for keys, value in parts:
@@ -303,10 +312,10 @@ def _underline(f: Frame, groups: list[str], visible: bool) -> dict[str, Any]:
     x: list[float | None] = []
     y: list[str | None] = []
     for a in f.gone:
-        if a.group in groups:
-            begin, width = f.span(a.start, a.stop)
+        begin, width = f.span(a.start, a.stop)
+        for group in (g for g in groups if is_part_of(g, a.group)):
             x += [begin, begin + width, None]
-            y += [safe(a.group), safe(a.group), None]
+            y += [safe(group), safe(group), None]
     return {
         "type": "scatter", "mode": "lines", "x": x, "y": y, "line": {"color": "--ink", "width": 2},
         "name": "left out",
@@ -315,9 +324,12 @@ def _underline(f: Frame, groups: list[str], visible: bool) -> dict[str, Any]:
 
 
 def used(f: Frame, table: pl.DataFrame) -> Figure:
-    """Return the number of satellites used, stacked by constellation, and how many were left out."""
+    """Return the number of satellites used, stacked by constellation (or of sensors, by source), and how many
+    were left out.
+    """
     counts = [family_counts(o.update.keys) for o in f.outcomes]
     families = ordered({family for c in counts for family in c})
+    tones = {c: f"--{ORDER[i % len(ORDER)]}" if f.is_vehicle else colour(c) for i, c in enumerate(families)}
     data: list[dict[str, Any]] = []
     for family in families:
         count = np.array([c[family] for c in counts], dtype=np.float64)
@@ -326,12 +338,15 @@ def used(f: Frame, table: pl.DataFrame) -> Figure:
             {
                 "type": "scatter", "mode": "lines", "x": "$t", "y": array(f.place(count)), "name": safe(name),
                 "stackgroup": "one",
-                "line": {"shape": "hv", "width": 0.6, "color": colour(family)},
-                "fillcolor": f"{colour(family)}-fill",
+                "line": {"shape": "hv", "width": 0.6, "color": tones[family]},
+                "fillcolor": f"{tones[family]}-fill",
                 "hovertemplate": "%{y}",
             }
         )  # fmt: skip
-    out = np.array([len(e.split(",")) if e else 0 for e in table["excluded"].to_list()], dtype=np.float64)
+    if f.is_vehicle:
+        out = np.array([len(members_in(o.update.spare_keys)) for o in f.outcomes], dtype=np.float64)
+    else:
+        out = np.array([len(e.split(",")) if e else 0 for e in table["excluded"].to_list()], dtype=np.float64)
     if out.any():
         line = {"shape": "hv", "width": 2, "color": "--alert", "dash": "dot"}
         data.append(

@@ -24,6 +24,8 @@ from pntegrity.report import (
     protection_figures,
     screening_figures,
     sky,
+    source_cards,
+    source_figures,
 )
 from pntegrity.report import inertial_cards as ins
 from pntegrity.report.cards import (
@@ -68,13 +70,14 @@ def page(
     """Return the report as text, from the outcomes and what `summary` and `solution` made of them."""
     f = frame(outcomes) if outcomes else None
     p = protected(table, facts)
-    shown = _figures(f, numbers, table, p) if f is not None else []
+    shown = _figures(f, numbers, table, p, facts) if f is not None else []
     if f is not None:
         shown += _moving(f, table, facts)
     there = {s.name for s in shown}
     data = {
         "t": array(f.x_ms, exact=True) if f is not None else None,
         "figures": [s.as_json() for s in shown],
+        "left": source_figures.left_px(f, facts.sources) if f is not None and f.is_vehicle else None,
     }
     assets = files("pntegrity.report") / "assets"
     parts = [
@@ -91,9 +94,11 @@ def page(
         ),
         section("When it could be trusted", plot("status", _STATUS)) if shown else "",
         story_list(story(outcomes, facts, table), facts),
+        source_cards.sources_part(numbers) + source_cards.levels_part(numbers) if "sources" in there else "",
         ins.track_part(there),
         ins.sections_part(numbers),
         _protection(p, numbers, facts) if p is not None else "",
+        source_cards.risk_part(numbers) if "sources" in there else "",
         _body(there, f, numbers, facts) if f is not None else "",
         details(facts),
         "</main>",
@@ -122,11 +127,16 @@ def _plotly() -> str:
     raise InputError("the report needs plotly, which is not installed", hint="pip install plotly")
 
 
-def _figures(f: Frame, numbers: Mapping[str, Any], table: pl.DataFrame, p: Protected | None) -> list[Figure]:
+def _figures(
+    f: Frame, numbers: Mapping[str, Any], table: pl.DataFrame, p: Protected | None, facts: RunFacts
+) -> list[Figure]:
     shown = [figures.status(f), panels.monitors(f, numbers["monitors"])]
     shown += [protection_figures.levels(f, p)] if p is not None else []
     shown += [protection_figures.diagram(a) for a in p.axes] if p is not None and p.has_truth else []
-    shown += [figures.timeline(f)] if f.gone else []
+    if f.is_vehicle:
+        shown.append(source_figures.sources(f, facts.sources))
+    elif f.gone:
+        shown.append(figures.timeline(f))
     shown += [figures.satellites(f), figures.used(f, table), precise.arcs(f, committed(f.outcomes))]
     shown += [panels.position(f, table), precise.troposphere(f, table), sky.sky(f)]
     return [s for s in shown if s.data]
@@ -173,16 +183,17 @@ def _body(there: set[str], f: Frame, numbers: Mapping[str, Any], facts: RunFacts
         if "timeline" in there
         else f"<p class='quiet'>{_NOTHING[numbers['screening'] is not None]}</p>"
     )
+    one = "satellite" if numbers["sources"] is None else "sensor"
     error = "Error against the truth within the filter's own three-sigma band." if numbers["position"] else (
         "Three sigma as the filter states it. No truth was given, so the error itself is not known."
     )  # fmt: skip
     return "\n".join(
         [
             section("What the monitors saw", plot("monitors", _MONITORS) + monitor_table(numbers)),
-            section("Left out", excluded),
+            section("Left out", excluded, numbers["sources"] is None),
             ins.screening_part(numbers, there),
-            section("Innovations of each satellite", plot("residuals", _RESIDUALS), "residuals" in there),
-            section("Satellites used", plot("used", ""), "used" in there),
+            section(f"Innovations of each {one}", plot("residuals", _RESIDUALS), "residuals" in there),
+            section(f"{one.capitalize()}s used", plot("used", ""), "used" in there),
             section("Carrier arcs", plot("arcs", _ARCS), "arcs" in there),
             section("Position", plot("position", error)),
             ins.attitude_part(there),

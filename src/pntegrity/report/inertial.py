@@ -16,7 +16,7 @@ from pntegrity.estimators._ins_solution import InsSolution, solution_of
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, State, Update
-from pntegrity.report.columns import column, groups_in
+from pntegrity.report.columns import column, groups_in, is_vehicle
 from pntegrity.report.facts import RunFacts
 from pntegrity.states import is_satellite
 
@@ -108,7 +108,8 @@ def from_gnss(update: Update) -> bool:
 
 @dataclass(frozen=True)
 class Outage:
-    """A stretch without GNSS: from the last update with it to the next one, or to the end of the run.
+    """A stretch without GNSS, or any source: from the last update with it to the next one, or to the end of
+    the run.
 
     `sigma_m` are the horizontal standard deviations at its beginning and its end.
     """
@@ -125,11 +126,13 @@ class Outage:
 
 
 def outages(outcomes: Sequence[Outcome]) -> list[Outage]:
-    """Return the stretches without GNSS after the first update with it, in order of time.
+    """Return the stretches without GNSS, or without any source of a vehicle, after the first update with it,
+    in order of time.
 
     Steps between updates that are the usual ones, or shorter than 2 s, do not count.
     """
-    at = [i for i, o in enumerate(outcomes) if from_gnss(o.update)]
+    vehicle = is_vehicle(outcomes)
+    at = [i for i, o in enumerate(outcomes) if (bool(o.update.keys) if vehicle else from_gnss(o.update))]
     if not at:
         return []
     t_ns = np.array([outcomes[i].t_ns for i in at], dtype=np.int64)
@@ -167,7 +170,8 @@ def inertial(outcomes: Sequence[Outcome], table: pl.DataFrame) -> dict[str, Any]
     ================ ======================================================================================
     attitude_sigma_deg median standard deviation of ``roll``, ``pitch``, ``heading``
     attitude_error_deg the same angles, each ``{"mean", "rms", "p95", "max"}``; null without truth
-    outages          stretches without GNSS: ``count``, ``seconds`` (together) and ``longest``:
+    outages          stretches without GNSS, or of a vehicle without any source: ``count``, ``seconds``
+                     (together) and ``longest``:
                      ``{"from", "to", "seconds", "sigma_from_m", "sigma_to_m", "ended"}``; null without any
     ================ ======================================================================================
     """

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pntegrity.report.cards import Figures, escaped, percent, plot, section, table_of
+from pntegrity.report.cards import Figures, escaped, plot, section, table_of
 from pntegrity.report.sections import HOW
-from pntegrity.report.units import degrees, length, level_text, rounded, unit
+from pntegrity.report.units import degrees, length, level_text, percent, rounded, unit
 
 __all__ = ["attitude_part", "cards", "screening_part", "sections_part", "track_part"]
 
@@ -35,7 +35,10 @@ def cards(numbers: Mapping[str, Any]) -> list[Figures]:
         note = f"at {d['epochs']} of {s['epochs']} epochs, of {len(d['satellites'])} satellites{rates}"
         out.append(("Dropped before the filter", str(d["rows"]), "rows" if d["rows"] != 1 else "row", note))
     if ins is not None:
-        out += [_heading(ins), _longest(ins["outages"])]
+        out += [
+            _heading(ins),
+            _longest(ins["outages"], "GNSS" if numbers["sources"] is None else "any source"),
+        ]
     return out
 
 
@@ -50,11 +53,16 @@ def _heading(ins: Mapping[str, Any]) -> Figures:
     return "Heading error, RMS", value, "°", f"sigma {said['heading']}; sigma of {tilt}"
 
 
-def _longest(found: Mapping[str, Any] | None) -> Figures:
+def _longest(found: Mapping[str, Any] | None, what: str) -> Figures:
     if found is None:
-        return "Longest without GNSS", "0", "s", "GNSS updated the filter without a break"
+        return (
+            f"Longest without {what}",
+            "0",
+            "s",
+            "GNSS updated the filter without a break" if what == "GNSS" else "there was always one",
+        )
     worst = found["longest"]
-    return "Longest without GNSS", f"{worst['seconds']:.4g}", "s", grown(worst)
+    return f"Longest without {what}", f"{worst['seconds']:.4g}", "s", grown(worst)
 
 
 def grown(worst: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pntegrity.estimators._ins_solution import solution_of
 from pntegrity.pipeline import Outcome
+from pntegrity.report.columns import is_vehicle
 from pntegrity.report.inertial import Outage, outages
 from pntegrity.report.screening import screening_numbers
 from pntegrity.report.sentences import OFTEN, Sentence, names, span_text
@@ -27,18 +28,22 @@ def bridged(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
     if not any(solution_of(o.update.posterior) is not None for o in (*outcomes[-1:], *outcomes[:1])):
         return
     found = [o for o in outages(outcomes) if o.seconds >= TOLD_S]
+    what = "any source" if is_vehicle(outcomes) else "GNSS"
     worst = max(found, key=lambda o: o.seconds, default=None)
     for o in found if len(found) <= OFTEN else [w for w in [worst] if w is not None]:
         more = f"; {len(found) - 1} shorter ones" if len(found) > OFTEN else ""
         yield Sentence(
-            o.start_ns, o.end_ns, "gap", f"{span_text(o.start_ns, o.end_ns, date)}: {_bridged(o)}{more}."
+            o.start_ns,
+            o.end_ns,
+            "gap",
+            f"{span_text(o.start_ns, o.end_ns, date)}: {_bridged(o, what)}{more}.",
         )
 
 
-def _bridged(o: Outage) -> str:
+def _bridged(o: Outage, what: str) -> str:
     a, b = o.sigma_m
     grew = f": horizontal sigma grew from {length(a)} to {length(b)}" if np.isfinite([a, b]).all() else ""
-    return f"{o.seconds:.4g} s without GNSS, bridged by the INS{grew}" + (
+    return f"{o.seconds:.4g} s without {what}, bridged by the INS{grew}" + (
         "" if o.ended else "; it lasts to the end"
     )
 

@@ -15,7 +15,7 @@ import polars as pl
 from pntegrity.pipeline import Outcome
 from pntegrity.records import Bound, FloatArray, join_reasons
 
-__all__ = ["FAULT_FREE", "bounds_of", "has_bounds", "level_columns", "mode_name"]
+__all__ = ["FAULT_FREE", "bounds_of", "has_bounds", "level_columns", "mode_name", "only_beyond"]
 
 FAULT_FREE = "fault-free"
 """What a dominant mode without any fault is called."""
@@ -40,6 +40,12 @@ def bounds_of(outcomes: Sequence[Outcome]) -> list[tuple[Bound, ...]]:
 def has_bounds(outcomes: Sequence[Outcome]) -> bool:
     """Tell whether any verdict has a bound."""
     return any(v.bound is not None for o in outcomes for v in o.verdicts)
+
+
+def only_beyond(o: Outcome) -> bool:
+    """Tell whether an alert is given because a level is above its alert limit, and no monitor alarms."""
+    alarmed = any(v.status == "alert" for v in o.verdicts)
+    return o.status == "alert" and not alarmed and any(v.beyond for v in o.verdicts)
 
 
 def level_columns(bounds: Sequence[Sequence[Bound]]) -> dict[str, pl.Series]:

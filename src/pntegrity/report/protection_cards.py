@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pntegrity.report.cards import escaped, flat, percent, table_of
+from pntegrity.report.cards import escaped, flat, table_of
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.sentences import names
-from pntegrity.report.units import duration, length, level_text
+from pntegrity.report.units import duration, length, level_text, percent
 
 __all__ = ["card", "level_table", "mode_table", "product_list", "promise", "region_table"]
 
@@ -113,6 +113,8 @@ def product_list(facts: RunFacts) -> str:
 def promise(numbers: Mapping[str, Any], facts: RunFacts) -> str:
     """Return the risk budget with each probability, and what the levels assume."""
     claim, told = _claim(facts.protection), dict(facts.protection)
+    if numbers["sources"] is not None:
+        told = {k: v for k, v in told.items() if k not in FAULTS or k == "p_other"}
     rows = [*_budget(told, numbers["protection"]), *_faults(told), *_rest(told)]
     if not rows:
         return "<p class='quiet'>The probabilities behind the levels were not stated.</p>"
@@ -195,6 +197,10 @@ def _faults(told: dict[str, Any]) -> list[Row]:
         rows.append((one["name"], f"{float(one['probability']):.3g}", f"{names(one['groups'])} at once"))
     for name, p in dict(told.pop("satellites", None) or {}).items():
         rows.append((f"{name} alone", f"{float(p):.3g}", "in place of the sum above"))
+    for name, p in dict(told.pop("sources", None) or {}).items():
+        rows.append(
+            (name, f"{float(p):.3g}", "a sensor by itself" if "." in name else "in place of the above")
+        )
     for letter, own in dict(told.pop("constellations", None) or {}).items():
         text = ", ".join(f"{float(v):.3g}" for v in own.values())
         rows.append((f"Constellation {letter}", text, "a satellite, all at once"))

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pntegrity.physics.time import to_iso
 
-__all__ = ["OFTEN", "Kind", "Sentence", "clock_time", "names", "span_text"]
+__all__ = ["OFTEN", "Kind", "Sentence", "clock_time", "kind_words", "names", "span_text"]
 
 Kind = Literal["start", "event", "excluded", "alert", "unavailable", "gap", "end"]
 OFTEN = 3
@@ -36,6 +36,11 @@ def span_text(start_ns: int, end_ns: int, date: bool = False) -> str:
     """Return ``06:22:10-06:24:31``, or one time where both are the same."""
     start, end = clock_time(start_ns, date), clock_time(end_ns, date)
     return start if start == end else f"{start}-{end}"
+
+
+def kind_words(of_sensors: bool) -> tuple[str, str, str]:
+    """Return what code, carrier and rate are called; `of_sensors`: where the rows are those of any sensor."""
+    return ("Measurement", "Carrier", "Rate") if of_sensors else ("Code", "Carrier", "Range rate")
 
 
 def names(groups: Sequence[str], most: int = 6) -> str:

@@ -16,11 +16,11 @@ from pntegrity.exclusion import SEPARATION, Exclusion
 from pntegrity.physics.time import DAY_NS
 from pntegrity.pipeline import Outcome
 from pntegrity.records import Status
-from pntegrity.report.columns import groups_in
+from pntegrity.report.columns import groups_in, is_vehicle, members_in, names_in
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.inertial import FIX
 from pntegrity.report.inertial_story import bridged, screened
-from pntegrity.report.levels import has_bounds
+from pntegrity.report.levels import has_bounds, only_beyond
 from pntegrity.report.protection import Protected, protected
 from pntegrity.report.sentences import OFTEN, Sentence, clock_time, names, span_text
 from pntegrity.report.tables import solution
@@ -39,7 +39,8 @@ NUMBER = re.compile(r"\d+(\.\d+)?")
 class Absence:
     """A group that was left out: from outcome `start` until before outcome `stop`.
 
-    `back` tells that it proved itself, was forgotten or that the filter began anew before the end.
+    `group` may be a sensor of a source (``"lbl.AP1"``). `back` tells that it proved itself, was forgotten or
+    that the filter began anew before the end; `unitless`: that the size of its fault is in units of its rows.
     """
 
     group: str
@@ -47,6 +48,12 @@ class Absence:
     start: int
     stop: int
     back: bool
+    unitless: bool = False
+
+    @property
+    def cause(self) -> str:
+        """Which test excluded it, and the fault."""
+        return cause_text(self.exclusion, self.unitless)
 
 
 def story(
@@ -74,9 +81,17 @@ def story(
     return (*found, *screened(outcomes, date), *kept, *_end(outcomes, facts, date))
 
 
-def cause_text(e: Exclusion) -> str:
-    """Return which test excluded a group, and the fault: ``GLR: ramp 0.20 m/s``."""
+def cause_text(e: Exclusion, unitless: bool = False) -> str:
+    """Return which test excluded a group, and the fault: ``GLR: ramp 0.20 m/s``; `unitless`: in units of its
+    rows, whatever these are. A size of 0 is not known.
+    """
     test = "epoch test" if e.monitor == "subset" else e.monitor.upper()
+    if not e.size:
+        return f"{test}: {e.kind}"
+    if unitless and e.kind != SEPARATION:
+        return (
+            f"{test}: {e.kind} {e.size:.3g}{' a second' if e.kind == 'ramp' else ''} in the unit of its row"
+        )
     if e.kind == SEPARATION:
         return f"{test}: {'bias' if e.monitor == 'subset' else 'positions apart by'} {length(e.size)}"
     return f"{test}: {e.kind} {length(e.size, '/s' if e.kind == 'ramp' else '')}"
@@ -86,24 +101,34 @@ def absences(outcomes: Sequence[Outcome]) -> list[Absence]:
     """Return who was left out from when to when, in order of exclusion."""
     out: list[Absence] = []
     standing: dict[str, tuple[Exclusion, int]] = {}
+    vehicle = is_vehicle(outcomes)
+
+    def gone(group: str, stop: int, back: bool) -> Absence:
+        return Absence(group, *standing.pop(group), stop, back, vehicle)
+
     for i, o in enumerate(outcomes):
-        used = groups_in(o.update.keys) if standing else ()
-        for group in [g for g in standing if g in used]:
-            out.append(Absence(group, *standing.pop(group), i, True))
+        used = names_in(o.update.keys) if standing else frozenset()
+        out += [gone(group, i, True) for group in [g for g in standing if g in used]]
         for e in o.exclusions:
             standing.setdefault(e.group, (e, i))
         for group in o.readmitted:
             if group in standing:
-                out.append(Absence(group, *standing.pop(group), i + 1, True))
-    out += [Absence(g, e, i, len(outcomes), False) for g, (e, i) in standing.items()]
+                out.append(gone(group, i + 1, True))
+    out += [gone(group, len(outcomes), False) for group in list(standing)]
     return sorted(out, key=lambda a: (a.start, a.stop, a.group))
 
 
 # --- the kinds of sentences -------------------------------------------------------------------------------
 
 
-def _satellites(o: Outcome) -> int:
-    return len(groups_in(o.update.keys))
+def _left(o: Outcome, vehicle: bool) -> str:
+    """Return how many satellites, or sources of a vehicle and their sensors, an epoch still used."""
+    keys = o.update.keys
+    if not vehicle:
+        return f"{len(groups_in(keys))} satellites left"
+    sources, sensors = len(groups_in(keys)), len(members_in(keys))
+    with_ = f" with {sensors} sensors" if sensors > sources else ""
+    return f"{sources or 'no'} source{'s' * (sources != 1)} left{with_}"
 
 
 def _starts(outcomes: Sequence[Outcome], date: bool) -> Iterator[Sentence]:
@@ -156,12 +181,12 @@ def _absent(together: list[Absence], outcomes: Sequence[Outcome], date: bool) ->
     a = together[0]
     o = outcomes[a.start]
     last = outcomes[a.stop - 1].t_ns
-    causes = groupby(together, key=lambda x: _cause(x.exclusion, date, o.t_ns))
+    causes = groupby(together, key=lambda x: _cause(x, date, o.t_ns))
     grouped = [(names([x.group for x in xs]), cause) for cause, xs in causes]
     who = names([f"{g} ({cause})" for g, cause in grouped]) + " excluded"
     if len(grouped) == 1:
         who = f"{grouped[0][0]} excluded ({grouped[0][1]})"
-    text = f"{span_text(o.t_ns, last, date)}: {who}; {_effect(o)}"
+    text = f"{span_text(o.t_ns, last, date)}: {who}; {_effect(o, a.unitless)}"
     if any(x.exclusion.ambiguous for x in together):
         text += (
             f"; {o.reason}"
@@ -172,12 +197,12 @@ def _absent(together: list[Absence], outcomes: Sequence[Outcome], date: bool) ->
     return Sentence(o.t_ns, last, "excluded", text)
 
 
-def _cause(e: Exclusion, date: bool, now_ns: int) -> str:
-    since = f" since {clock_time(e.onset_ns, date)}" if e.onset_ns != now_ns else ""
-    return f"{cause_text(e)}{since}"
+def _cause(a: Absence, date: bool, now_ns: int) -> str:
+    since_ns = a.exclusion.onset_ns
+    return a.cause + (f" since {clock_time(since_ns, date)}" if since_ns != now_ns else "")
 
 
-def _effect(o: Outcome) -> str:
+def _effect(o: Outcome, vehicle: bool) -> str:
     back = "the last epoch" if o.rewound == 1 else f"the last {o.rewound} epochs"
     repaired = f"filter run again over {back}, " if o.rewound else ""
     if o.update.switched:
@@ -190,7 +215,7 @@ def _effect(o: Outcome) -> str:
         if o.status == "alert"
         else "no test left"
     )
-    return f"{repaired}{kept}, {_satellites(o)} satellites left"
+    return f"{repaired}{kept}, {_left(o, vehicle)}"
 
 
 def _repeated(gone: list[Absence], outcomes: Sequence[Outcome], date: bool) -> Sentence:
@@ -242,7 +267,8 @@ def _alarm(stretch: list[Outcome]) -> str:
     )
     who = f", most often suspecting {blamed.most_common(1)[0][0]}" if blamed else ""
     why = f" ({'; '.join(r for r, _ in reasons)})" if reasons else ""
-    return (f"unresolved alarm of {names(monitors)}" if monitors else "unresolved alert") + who + why
+    alert = "alert" if any(map(only_beyond, stretch)) else "unresolved alert"
+    return (f"unresolved alarm of {names(monitors)}" if monitors else alert) + who + why
 
 
 def _common_reason(stretch: list[Outcome]) -> str:

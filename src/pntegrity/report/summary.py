@@ -16,10 +16,12 @@ from pntegrity.records import FloatArray, Update, Verdict
 from pntegrity.report.columns import family_counts, groups_in
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.inertial import inertial
+from pntegrity.report.levels import only_beyond
 from pntegrity.report.protection import protection
 from pntegrity.report.screening import screening_numbers
 from pntegrity.report.sections import by_section
 from pntegrity.report.sentences import names
+from pntegrity.report.sources import source_numbers
 from pntegrity.report.story import absences, story
 from pntegrity.report.tables import solution
 
@@ -55,6 +57,7 @@ def summary(
     epochs         number of epochs
     duration_s     from the first to the last epoch
     availability   ``ok``, ``alert``, ``unavailable``: ``{"epochs", "share"}``
+    limit_alerts   how many of the alerts are there only because a protection level is above its alert limit
     monitors       one entry a monitor: ``monitor``, ``variant``, ``p_fa`` (nominal, an epoch), ``first`` and
                    ``final`` (before and after exclusion): ``{"tests", "alarms", "rate", "worst_ratio"}``
                    (rate: alarms a test; worst_ratio: largest statistic over its threshold)
@@ -62,7 +65,9 @@ def summary(
     ``onset``,
                    ``ambiguous``, ``epochs`` (how many it was left out)
     readmissions   how many of these came back
-    satellites     ``used_mean``, ``used_min``, ``systems``: ``{"G": {"mean", "min"}, ...}``
+    satellites     ``used_mean``, ``used_min``, ``systems``: ``{"G": {"mean", "min"}, ...}``; of a vehicle
+    with
+                   sources how many of these, and of each source its sensors
     position       null without truth; else ``e``, ``n``, ``u``, ``h``: ``{"rms_m", "p95_m", "max_m"}`` and
                    ``epochs``, the number of epochs compared
     sigma_m        mean standard deviation of ``e``, ``n``, ``u`` as the filter states it; null where unknown
@@ -72,6 +77,7 @@ def summary(
     inertial       see `pntegrity.report.inertial.inertial`; null without an INS
     screening      see `pntegrity.report.screening.screening_numbers`; null where the estimator detects no
                    faults of its own
+    sources        see `pntegrity.report.sources.source_numbers`; null where there are no sources with sensors
     whiteness      see `pntegrity.evaluate.whiteness.whiteness`
     notes          what the readers dropped
     events         what happened, in words
@@ -92,6 +98,7 @@ def summary(
         "epochs": len(outcomes),
         "duration_s": (t_ns[-1] - t_ns[0]) * 1e-9 if t_ns else 0.0,
         "availability": _availability(outcomes),
+        "limit_alerts": sum(only_beyond(o) for o in outcomes),
         "monitors": monitor_counts(outcomes),
         "exclusions": [
             {
@@ -113,6 +120,7 @@ def summary(
         "sections": by_section(table, facts),
         "inertial": inertial(outcomes, table),
         "screening": screening_numbers(outcomes),
+        "sources": source_numbers(outcomes, facts),
         "whiteness": whiteness(committed(outcomes)),
         "notes": list(facts.notes),
         "events": [s.text for s in story(outcomes, facts, table)],
@@ -200,6 +208,11 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
             if numbers["exclusions"]
             else "Monitors alarmed there."
         )
+        limit = numbers["limit_alerts"]
+        if limit:
+            where = "there" if limit == alerts else f"at {limit} of them"
+            above = f"The protection level is above its alert limit {where}."
+            what = above if limit == alerts else f"{what} {above}"
         detail = f"{what} {left_out}{_also(untested)}{cut}"
         return f"Do not trust {alerts} of {n} epochs", detail, "alert"
     if untested == n:

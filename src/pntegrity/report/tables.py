@@ -19,7 +19,7 @@ from pntegrity.physics.frames import ecef_to_geodetic, enu_rotations
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.records import FloatArray, Suspect, Verdict
-from pntegrity.report.columns import column, groups_in, stamps
+from pntegrity.report.columns import column, groups_in, names_in, stamps
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.inertial import antenna, attitude_columns, solutions, velocity_columns
 from pntegrity.report.levels import bounds_of, level_columns
@@ -156,8 +156,8 @@ def _sigma(outcomes: Sequence[Outcome], name: str) -> FloatArray:
 
 
 def suspect_text(s: Suspect) -> str:
-    """Say who may be at fault and how: ``G05 ramp 0.10/s since 06:20:01 (explains 45.2)``, or ``G05
-    separation 2.1 m (rest at 0.85 of what is allowed)``.
+    """Say who may be at fault and how: ``G05 ramp 0.10/s since 06:20:01 (explains 45.2)``, ``lbl (AP1, AP3)
+    bias since 06:20:01 (explains 45.2)``, or ``G05 separation 2.1 m (rest at 0.85 of what is allowed)``.
     """
     if s.kind == SEPARATION:
         return (
@@ -165,8 +165,9 @@ def suspect_text(s: Suspect) -> str:
         )
     rate = "/s" if s.kind == "ramp" else ""
     digits = ".2f" if abs(s.size) >= 0.1 else "#.2g"
-    size = f"{s.size:{digits}}{rate} since {to_iso(s.onset_ns)[11:]}"
-    return f"{'+'.join(s.groups)} {s.kind} {size} (explains {s.statistic:.1f})"
+    size = f" {s.size:{digits}}{rate}" if s.size else ""
+    who = "+".join(s.groups) + (f" ({', '.join(s.sensors)})" if s.sensors else "")
+    return f"{who} {s.kind}{size} since {to_iso(s.onset_ns)[11:]} (explains {s.statistic:.1f})"
 
 
 def verdicts(outcomes: Sequence[Outcome]) -> pl.DataFrame:
@@ -229,13 +230,13 @@ def exclusions(outcomes: Sequence[Outcome]) -> pl.DataFrame:
     """Return one row an exclusion: when, who, by which test, how large, since when, and when it came back.
 
     `estimated_bias` is the size at the time of exclusion and `estimated_rate` its growth per second (ramps),
-    both in units of the row that carries the fault (m for ranges); null where solutions were compared, which
-    gives no size of the fault itself. `readmitted_gps` is null where the group did not come back.
+    both in units of the row that carries the fault (m for ranges); null where no size is known, as where
+    solutions were compared. `readmitted_gps` is null where the group did not come back.
     """
     made = [(e, _back_ns(outcomes, i, e.group)) for i, o in enumerate(outcomes) for e in o.exclusions]
     ramps: npt.NDArray[np.bool_] = np.array([e.kind == "ramp" for e, _ in made], dtype=bool)
     of_rows = [e.kind != SEPARATION or e.monitor == "subset" for e, _ in made]
-    size = np.array([e.size if row else np.nan for (e, _), row in zip(made, of_rows, strict=True)])
+    size = np.array([e.size or np.nan if row else np.nan for (e, _), row in zip(made, of_rows, strict=True)])
     age = np.array([(e.t_ns - e.onset_ns) * 1e-9 for e, _ in made], dtype=np.float64)
     return pl.DataFrame(
         {
@@ -255,5 +256,5 @@ def exclusions(outcomes: Sequence[Outcome]) -> pl.DataFrame:
 
 def _back_ns(outcomes: Sequence[Outcome], i: int, group: str) -> int | None:
     """Return when a group excluded at outcome `i` came back: readmitted, or used after a new start."""
-    later = (o for o in outcomes[i + 1 :] if group in o.readmitted or group in groups_in(o.update.keys))
+    later = (o for o in outcomes[i + 1 :] if group in o.readmitted or group in names_in(o.update.keys))
     return next((o.t_ns for o in later), None)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from pntegrity.pipeline import Outcome
 from pntegrity.report.facts import RunFacts
+from pntegrity.report.sentences import names
 from pntegrity.report.story import story
 from pntegrity.report.summary import headline, summary
-from pntegrity.report.units import degrees, length, level_text, together
+from pntegrity.report.units import degrees, length, level_text, percent, together
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -56,7 +57,8 @@ def _monitors(numbers: Mapping[str, Any]) -> Table:
     from rich.text import Text
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for name, justify in (("monitor", "left"), ("variant", "left"), ("P_FA", "right"), ("tests", "right")):
+    table.add_column("monitor", min_width=max(len(m["monitor"]) for m in numbers["monitors"]))
+    for name, justify in (("variant", "left"), ("P_FA", "right"), ("tests", "right")):
         table.add_column(name, justify=justify)  # type: ignore[arg-type]
     for name in ("alarms, first look", "after exclusion", "worst ratio"):
         table.add_column(name, justify="right")
@@ -91,7 +93,28 @@ def _figures(numbers: Mapping[str, Any]) -> list[str]:
         rms = f"RMS {length(horizontal['rms_m'])} horizontal, {length(up['rms_m'])} up"
         lines.append(f"position    {rms} (95 %: {together(horizontal['p95_m'], up['p95_m'])})")
     lines += [_protection(numbers["protection"])] if numbers["protection"] else []
-    return [*lines, *_inertial(numbers)]
+    return [*lines, *_sources(numbers), *_inertial(numbers)]
+
+
+def _sources(numbers: Mapping[str, Any]) -> list[str]:
+    """Return a line for each source of a vehicle."""
+    found = numbers["sources"]["sources"] if numbers["sources"] is not None else ()
+    width = max((len(s["source"]) for s in found), default=0)
+    return [
+        f"{'source' if not i else '':<12}{s['source']:<{width}}  {_source(s)}" for i, s in enumerate(found)
+    ]
+
+
+def _source(s: Mapping[str, Any]) -> str:
+    """Say how much of what a source measured was used, how often it was left out, and came back."""
+    if not s["epochs"]:
+        return "never measured anything"
+    used = f"used at {percent(s['used']['share'])} % of {s['epochs']} epochs"
+    if not s["left_out"]:
+        return f"{used}, never left out"
+    times = {1: "once", 2: "twice"}.get(s["left_out"], f"{s['left_out']} times")
+    who = "" if s["names"] == [s["source"]] else f" ({names(s['names'])})"
+    return f"{used}, left out {times}{who}, back {s['readmitted']}"
 
 
 def _inertial(numbers: Mapping[str, Any]) -> list[str]:

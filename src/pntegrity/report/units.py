@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["degrees", "duration", "length", "level_text", "rounded", "together", "unit"]
+__all__ = ["degrees", "duration", "length", "level_text", "percent", "rounded", "together", "unit"]
 
 
 def unit(largest_m: float) -> tuple[float, str]:
@@ -45,6 +45,11 @@ def degrees(value_deg: float | None) -> str:
     if value_deg is None:
         return "–"
     return f"{value_deg:.0f}°" if abs(value_deg) >= 9.95 else f"{value_deg:#.2g}°"
+
+
+def percent(share: float) -> str:
+    """Return a share in per cent, rounded down: 100 means all."""
+    return f"{math.floor(1000.0 * share + 1e-9) / 10.0:g}"
 
 
 def duration(seconds: float) -> str:

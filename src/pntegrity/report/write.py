@@ -10,9 +10,11 @@ from pntegrity.errors import InputError
 from pntegrity.formats.atomic import atomically
 from pntegrity.formats.update_record import Entry, write_record
 from pntegrity.pipeline import Outcome
+from pntegrity.report.columns import is_vehicle
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.html import page
 from pntegrity.report.screening import dropped, screening
+from pntegrity.report.source_tables import proofs, sensors
 from pntegrity.report.summary import summary
 from pntegrity.report.tables import exclusions, solution, verdicts
 
@@ -20,6 +22,8 @@ __all__ = ["entries", "results_folder", "write_results"]
 
 SCREENING, DROPPED = "screening.parquet", "screening_dropped.csv"
 """Files that only runs have whose estimator detects faults of its own."""
+SENSORS, PROOFS = "sensors.parquet", "proofs.csv"
+"""Files that only runs of vehicles with sources have."""
 
 
 def entries(outcomes: Sequence[Outcome]) -> list[Entry]:
@@ -43,7 +47,8 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
     dict
         Path of each file: ``solution`` and ``verdicts`` (parquet), ``exclusions`` (csv), ``updates`` (npz),
         ``summary`` (json), ``report`` (html); and ``screening`` (parquet) and ``dropped`` (csv) where the
-        estimator detects faults of its own. Where it does not, these two of an earlier run are removed.
+        estimator detects faults of its own; ``sensors`` (parquet) and ``proofs`` (csv) where a vehicle has
+        sources with sensors. Those of an earlier run that this one does not have are removed.
 
     Raises
     ------
@@ -72,8 +77,12 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
     if len(screened):
         writers["screening"] = (SCREENING, screened.write_parquet)
         writers["dropped"] = (DROPPED, dropped(outcomes).write_csv)
-    else:
-        _remove(folder)
+    if is_vehicle(outcomes):
+        writers["sensors"] = (SENSORS, sensors(outcomes).write_parquet)
+        writers["proofs"] = (PROOFS, proofs(outcomes).write_csv)
+    written = {file for file, _ in writers.values()}
+    for file in {SCREENING, DROPPED, SENSORS, PROOFS} - written:
+        _remove(folder / file)
     paths = {}
     for name, (file, write) in writers.items():
         paths[name] = folder / file
@@ -82,22 +91,21 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
     return paths
 
 
-def _remove(folder: Path) -> None:
-    """Remove what only some runs have, of an earlier run.
+def _remove(path: Path) -> None:
+    """Remove what an earlier run left and this one does not have.
 
     Raises
     ------
     InputError
         Where it cannot be removed.
     """
-    for path in (folder / SCREENING, folder / DROPPED):
-        try:
-            path.unlink(missing_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"this file of an earlier run cannot be removed: {error.strerror}", path=path,
-                hint="Remove it, or choose another folder with --out",
-            ) from error  # fmt: skip
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"this file of an earlier run cannot be removed: {error.strerror}", path=path,
+            hint="Remove it, or choose another folder with --out",
+        ) from error  # fmt: skip
 
 
 def results_folder(out: Path) -> Path:

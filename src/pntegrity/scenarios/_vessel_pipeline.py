@@ -11,8 +11,10 @@ from typing import Any, Literal
 import numpy as np
 
 from pntegrity.bounds.ism import Ism
-from pntegrity.config import make_monitor
 from pntegrity.exclusion import Policy
+from pntegrity.monitors.sensor_window import SensorWindow
+from pntegrity.monitors.separation import Separation
+from pntegrity.monitors.source_separation import SourceSeparation
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.pipeline import Outcome, Pipeline
 from pntegrity.protocols import Monitor
@@ -81,12 +83,10 @@ def monitors_of(study: Mapping[str, Any], variant: Literal["exact", "published"]
     """Return the monitors of a vessel with the rates and priors of the study."""
     p = study["experiment"]
     ism = Ism.from_table({"sources": p["p_prior"], "p_hmi": p["p_hmi"], "split": study["levels"]["split"]})
-    levels = {"ism": ism, "pairs": False, "levels": "observed"}
     return [
-        make_monitor("source_separation", p["p_fa"], variant),
-        make_monitor("sensor_window", study["sensors"]["p_fa"], variant),
-        make_monitor("separation", 1e-6, "exact", options=levels),
-    ]
+        SourceSeparation(p["p_fa"], variant), SensorWindow(study["sensors"]["p_fa"], variant),
+        Separation(1e-6, ism=ism, pairs=False, levels="observed"),
+    ]  # fmt: skip
 
 
 def until(log: VesselLog, to_s: float) -> VesselLog:

@@ -51,7 +51,7 @@
       tickfont: { size: 11 }, automargin: false };
     const layout = {
       height: figure.height, autosize: true, showlegend: false, dragmode: figure.timed && !narrow() ? "zoom" : false,
-      margin: figure.timed ? { l: narrow() ? 46 : 62, r: 20, t: 26, b: 24 } : { l: 24, r: 24, t: 24, b: 24 },
+      margin: figure.timed ? { l: narrow() ? Math.min(source.left || 46, 84) : source.left || 62, r: 20, t: 26, b: 24 } : { l: 24, r: 24, t: 24, b: 24 },
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: colour("--ink") },
       hoverlabel: { bgcolor: colour("--card"), bordercolor: colour("--rule"), font: { color: colour("--ink"), size: 12 } },
