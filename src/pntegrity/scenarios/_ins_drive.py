@@ -12,7 +12,7 @@ import numpy as np
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.formats.fixes import read_fixes
 from pntegrity.formats.imu_table import read_imu
-from pntegrity.inertial import estimate_lag
+from pntegrity.imu_lag import estimate_lag
 from pntegrity.scenarios import _python_ins
 from pntegrity.scenarios._ins_logs import DRIVE, Branches, Bridge, Track, drive_log, tracked
 from pntegrity.scenarios._real_logs import Row, row
