@@ -94,6 +94,15 @@ class _Attempt:
         return self.history[-1].excluded
 
 
+@dataclass(frozen=True, eq=False)
+class _Reviewed:
+    """Who stays out after an epoch, what tests showed, and whether anybody was re-acquired."""
+
+    standing: Mapping[str, Standing]
+    proofs: tuple[Proof, ...]
+    reacquired: bool
+
+
 class Pipeline:
     """Drive an estimator and its monitors through epochs.
 
@@ -236,67 +245,70 @@ class Pipeline:
         return tuple(v for v, _ in pairs), tuple(memory for _, memory in pairs)
 
     def _commit(
-        self,
-        now: Checkpoint,
-        epoch: Epoch,
-        first: _Attempt,
-        last: _Attempt,
-        made: tuple[Exclusion, ...],
+        self, now: Checkpoint, epoch: Epoch, first: _Attempt, last: _Attempt, made: tuple[Exclusion, ...],
         reason: str,
-    ) -> tuple[Outcome, Checkpoint]:
-        update = last.updates[-1]
-        counts = dict(now.counts)
-        standing = dict(now.standing)
-        for e in made:
-            counts[e.group] = counts.get(e.group, 0) + 1
-            doubtful = e.doubtful or (e.switch and e.ambiguous)
-            standing[e.group] = Standing(
-                e.onset_ns, epoch.t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful
-            )
-        step_s = _step_s(now, epoch.t_ns)
-        history = last.history[-self.policy.history :]
-
-        def trial(name: str, s: Standing) -> Proof:
-            return prove(self.estimator, history, name, s, self.policy)
-
-        present = _present(epoch, standing)
-        after, proofs = review(standing, update, present, self.policy, step_s, trial)
-        back = reacquired(after, update, self.policy, history)
-        after = {g: s for g, s in after.items() if g not in back}
-        readmitted = tuple(g for g in standing if g not in after)
+    ) -> tuple[Outcome, Checkpoint]:  # fmt: skip
+        counts, standing = _with_new(now, made, epoch.t_ns)
+        reviewed = self._reviewed(now, epoch, last, standing)
         alert = _alert(last.verdicts) or bool(reason)
-        doubt = [g for g, s in after.items() if s.doubtful]
-        told = f"{', '.join(doubt)} left out, but others could be at fault as well" if doubt else ""
         since = (now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns) if alert else None
-        patience_s = max(self.policy.restart_s, self.policy.restart_epochs * step_s)
+        patience_s = max(self.policy.restart_s, self.policy.restart_epochs * _step_s(now, epoch.t_ns))
         stuck = since is not None and (epoch.t_ns - since) * 1e-9 >= patience_s and self.policy.exclude
         checkpoint = Checkpoint(
-            State.empty(epoch.t_ns) if stuck else update.posterior,
-            last.memories,
-            () if stuck else history,
-            {} if stuck else after,
-            counts,
-            None if stuck else since,
-            epoch.t_ns if back else now.reacquired_ns,
-        )
+            last.updates[-1].posterior, last.memories, last.history[-self.policy.history :],
+            reviewed.standing, counts, since, epoch.t_ns if reviewed.reacquired else now.reacquired_ns,
+        )  # fmt: skip
         if stuck:
             reason = join_reasons(
                 [reason, f"alert unresolved for {patience_s:.0f} s: the filter starts anew"]
             )
+            checkpoint = replace(
+                checkpoint, state=State.empty(epoch.t_ns), history=(), standing={}, alert_since_ns=None
+            )
+        readmitted = tuple(g for g in standing if g not in reviewed.standing)
+        status, told = _told(reviewed.standing, last, alert, reason)
         outcome = Outcome(
-            epoch.t_ns, _status(last.verdicts, alert or bool(doubt)), last.updates, last.rewound,
-            last.verdicts,
-            first.verdicts, made,
-            readmitted,
-            join_reasons(
-                [
-                    *(v.beyond for v in last.verdicts),
-                    join_reasons([reason or told, update.reason]) if doubt else reason or update.reason,
-                ]
-            ),
-            proofs,
+            epoch.t_ns, status, last.updates, last.rewound, last.verdicts, first.verdicts, made, readmitted,
+            told, reviewed.proofs,
         )  # fmt: skip
         return outcome, checkpoint
+
+    def _reviewed(
+        self, now: Checkpoint, epoch: Epoch, last: _Attempt, standing: dict[str, Standing]
+    ) -> _Reviewed:
+        """Return who stays out after the epoch, what tests of them showed, and who is re-acquired."""
+        history, update = last.history[-self.policy.history :], last.updates[-1]
+
+        def trial(name: str, s: Standing) -> Proof:
+            return prove(self.estimator, history, name, s, self.policy)
+
+        present, step_s = _present(epoch, standing), _step_s(now, epoch.t_ns)
+        after, proofs = review(standing, update, present, self.policy, step_s, trial)
+        back = reacquired(after, update, self.policy, history)
+        return _Reviewed({g: s for g, s in after.items() if g not in back}, proofs, bool(back))
+
+
+def _with_new(
+    now: Checkpoint, made: Sequence[Exclusion], t_ns: int
+) -> tuple[dict[str, int], dict[str, Standing]]:
+    """Return how often groups were left out, and who is, with new exclusions."""
+    counts, standing = dict(now.counts), dict(now.standing)
+    for e in made:
+        counts[e.group] = counts.get(e.group, 0) + 1
+        doubtful = e.doubtful or (e.switch and e.ambiguous)
+        standing[e.group] = Standing(e.onset_ns, t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful)
+    return counts, standing
+
+
+def _told(standing: Mapping[str, Standing], last: _Attempt, alert: bool, reason: str) -> tuple[Status, str]:
+    """Return the status of an epoch and why it is that."""
+    update, beyond = last.updates[-1], [v.beyond for v in last.verdicts]
+    doubt = [g for g, s in standing.items() if s.doubtful]
+    status = _status(last.verdicts, alert or bool(doubt))
+    if not doubt:
+        return status, join_reasons([*beyond, reason or update.reason])
+    told = reason or f"{', '.join(doubt)} left out, but others could be at fault as well"
+    return status, join_reasons([*beyond, told, update.reason])
 
 
 def _present(epoch: Epoch, names: Iterable[str]) -> frozenset[str]:
