@@ -14,7 +14,7 @@ from typing import Any
 
 from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide
 from pntegrity.protocols import Estimator, Monitor, Switching, memory_for
-from pntegrity.proving import Past, Proof, prove
+from pntegrity.proving import Past, Proof, is_due, prove
 from pntegrity.readmission import distrusting, left_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
 from pntegrity.states import is_left_out
@@ -135,23 +135,23 @@ class Pipeline:
         ValueError
             Where the epoch is not later than the last one.
         """
-        now = self.checkpoint
-        if now.state.t_ns and epoch.t_ns <= now.state.t_ns:
-            raise ValueError(f"epoch at {epoch.t_ns} ns is not after the last one at {now.state.t_ns} ns")
-        first = self._attempt(now, epoch, {}, _is_reacquired(now))
-        last, exclusions, reason = self._resolve(now, epoch, first)
+        before = self.checkpoint
+        if before.state.t_ns and epoch.t_ns <= before.state.t_ns:
+            raise ValueError(f"epoch at {epoch.t_ns} ns is not after the last one at {before.state.t_ns} ns")
+        now, made = self._second_look(before, epoch)
+        first = self._attempt(now, epoch, _onsets(made), _is_reacquired(now))
+        last, exclusions, reason = self._resolve(now, epoch, first, made)
         kept = {g: s for g, s in now.standing.items() if g in last.excluded}
         outcome, self.checkpoint = self._commit(
             replace(now, standing=kept), epoch, first, last, exclusions, reason
         )
-        released = tuple(g for g in now.standing if g not in kept)
+        released = tuple(g for g in before.standing if g not in kept)
         return replace(outcome, readmitted=released + outcome.readmitted)
 
     def _resolve(
-        self, now: Checkpoint, epoch: Epoch, attempt: _Attempt
+        self, now: Checkpoint, epoch: Epoch, attempt: _Attempt, made: tuple[Exclusion, ...] = ()
     ) -> tuple[_Attempt, tuple[Exclusion, ...], str]:
         """Exclude until no monitor alarms, nothing more can be left out, or the limit is reached."""
-        made: tuple[Exclusion, ...] = ()
         reasons: list[str] = []
         relaxed, policy = _is_reacquired(now), distrusting(self.policy, now.reacquired_ns, epoch.t_ns)
         previous_ns = now.state.t_ns if len(now.state) else epoch.t_ns
@@ -159,8 +159,7 @@ class Pipeline:
             decision = decide(attempt.updates[-1], attempt.verdicts, policy, previous_ns)
             if decision.relax and not relaxed:
                 relaxed = True
-                since = {e.group: e.onset_ns for e in made}
-                attempt = self._attempt(now, epoch, since, relaxed, _left(made))
+                attempt = self._attempt(now, epoch, _onsets(made), relaxed, _left(made))
                 continue
             new = tuple(e for e in decision.exclusions if e.group not in attempt.excluded)
             reasons.append(_ambiguity(decision) if new else decision.reason)
@@ -172,7 +171,7 @@ class Pipeline:
             if any(e.onset_ns < epoch.t_ns for e in new) and not _repair_is_due(now, epoch):
                 break
             made += new
-            attempt = self._attempt(now, epoch, {e.group: e.onset_ns for e in made}, relaxed, _left(made))
+            attempt = self._attempt(now, epoch, _onsets(made), relaxed, _left(made))
         if _alert(attempt.verdicts) and made and all(e.monitor != "subset" for e in made):
             reasons.append(
                 "leaving out " + "+".join(e.group for e in made) + " did not resolve the alert: undone"
@@ -189,18 +188,41 @@ class Pipeline:
         """Take back exclusions of a start that were made beside a fix which a blunder had moved far off."""
         for e in made:
             fewer = tuple(other for other in made if other.group != e.group)
-            since = {other.group: other.onset_ns for other in fewer}
-            trial = self._attempt(now, epoch, since, switch=_left(fewer))
+            trial = self._attempt(now, epoch, _onsets(fewer), switch=_left(fewer))
             if not _alert(trial.verdicts) and trial.verdicts[0].status == "ok":
                 attempt, made = trial, fewer
         return attempt, made
 
+    def _second_look(self, now: Checkpoint, epoch: Epoch) -> tuple[Checkpoint, tuple[Exclusion, ...]]:
+        """Return what is known where somebody was left out in doubt, and who goes in their place.
+
+        The past is run again with them, from before the onset on, and the monitors are asked anew: time has
+        passed and may have told one explanation from another.
+        """
+        doubtful = {g: s for g, s in now.standing.items() if s.doubtful and _is_looked_at(now, g)}
+        if not doubtful or not self.policy.identifying:
+            return now, ()
+        standing = {g: s for g, s in now.standing.items() if g not in doubtful}
+        past = tuple(replace(p, excluded=p.excluded - doubtful.keys()) for p in now.history)
+        opened = replace(now, standing=standing, history=past)
+        onset_ns = min(s.since_ns for s in doubtful.values())
+        attempt = self._attempt(opened, epoch, {}, from_ns=2 * onset_ns - epoch.t_ns)
+        if not _alert(attempt.verdicts):
+            return now, ()
+        found = decide(attempt.updates[-1], attempt.verdicts, self.policy, now.state.t_ns).exclusions
+        if not found or any(e.doubtful for e in found):
+            return now, ()
+        if {e.group for e in found} == set(doubtful):
+            sure = {g: replace(s, doubtful=False) for g, s in doubtful.items()}
+            return replace(now, standing={**now.standing, **sure}), ()
+        return opened, found
+
     def _attempt(
         self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False,
-        switch: frozenset[str] = frozenset(),
+        switch: frozenset[str] = frozenset(), from_ns: int | None = None,
     ) -> _Attempt:  # fmt: skip
         """Run the epoch without the groups in `since`, again from before the earliest onset where that is in
-        the past.
+        the past, or from `from_ns` on.
 
         The monitors begin anew at such a point: what they remembered was made with the faults in it.
         `relaxed` lets go of what the dynamics say of the epoch itself. With `switch` the filter goes on from
@@ -208,7 +230,7 @@ class Pipeline:
         """
         margin = {g: max(epoch.t_ns - onset, 0) // 4 for g, onset in since.items()}
         begins = {g: onset - margin[g] for g, onset in since.items()}
-        first_ns = min(begins.values(), default=epoch.t_ns)
+        first_ns = min(begins.values(), default=epoch.t_ns) if from_ns is None else from_ns
         start = next((i for i, p in enumerate(now.history) if p.epoch.t_ns >= first_ns), len(now.history))
         again = now.history[start:]
         state = again[0].before if again else now.state
@@ -309,6 +331,16 @@ def _told(standing: Mapping[str, Standing], last: _Attempt, alert: bool, reason:
         return status, join_reasons([*beyond, reason or update.reason])
     told = reason or f"{', '.join(doubt)} left out, but others could be at fault as well"
     return status, join_reasons([*beyond, told, update.reason])
+
+
+def _onsets(made: Sequence[Exclusion]) -> dict[str, int]:
+    """Return since when who is left out."""
+    return {e.group: e.onset_ns for e in made}
+
+
+def _is_looked_at(now: Checkpoint, name: str) -> bool:
+    """Tell whether somebody has been left out for so many epochs that it is time for a second look."""
+    return is_due(sum(name in p.excluded for p in now.history), 1)
 
 
 def _present(epoch: Epoch, names: Iterable[str]) -> frozenset[str]:

@@ -40,7 +40,7 @@ def run(*faults, proof="trial"):
 
 
 def second(t_ns):
-    return (t_ns - log().motion.span_ns[0]) * 1e-9
+    return round((t_ns - log().motion.span_ns[0]) * 1e-9, 3)
 
 
 def times_of(outcomes, what):
@@ -119,6 +119,57 @@ def test_the_position_is_as_good_as_without_the_fault():
     at = slice(BEGIN, END)
     healthy, isolated = error(run())[at], error(run(BEACON))[at]
     assert np.sqrt((isolated**2).sum(1).mean()) <= 1.2 * np.sqrt((healthy**2).sum(1).mean())
+
+
+class Says:
+    """A monitor that alarms where it gets a row while that is off, and tells what it is given."""
+
+    name, variant = "source_separation", "exact"
+
+    def __init__(self, told):
+        self.told = told
+
+    def start(self):
+        return 0
+
+    def step(self, memory, update):
+        off = "lbl:R.AP1" in update.keys and BEGIN <= second(update.t_ns) < END
+        suspects, ambiguous = self.told(second(update.t_ns))
+        onset_ns = log().motion.span_ns[0] + BEGIN * 1_000_000_000
+        kept = tuple(replace(s, onset_ns=onset_ns) for s in suspects) if off else ()
+        facts = ("alert", 30.0, 20.0) if off else ("ok", 1.0, 20.0)
+        return Verdict(self.name, self.variant, update.t_ns, *facts, 1e-6, 1, kept, ambiguous and off), 0
+
+
+def doubted(then):
+    """Run a log with a fault of which one says at first that two may have it, and later something else."""
+    first = (of("lbl", sensors=("AP1",)), of("usbl", "gnss"))
+    made = log(BEACON)
+    model = estimator(made, ship(SECONDS, 1.0).spec)
+    says = Says(lambda t: (then, False) if t >= BEGIN + 8 else (first, True))
+    driver = Pipeline(model, [says], Policy(**model.policy))
+    return [driver.push(e) for e in made.epochs]
+
+
+def test_who_was_left_out_in_doubt_is_named_once_the_doubt_is_gone():
+    outcomes = doubted((of("lbl", sensors=("AP1",)),))
+    at = {second(o.t_ns): o for o in outcomes}
+    assert at[BEGIN + 1].status == "alert"
+    assert "others could be" in at[BEGIN + 2].reason
+    assert {at[t].status for t in range(BEGIN + 10, END)} == {"ok"}
+    assert times_of(outcomes, lambda o: [e.group for e in o.exclusions]) == [(BEGIN, "lbl.AP1")]
+
+
+def test_a_better_explanation_takes_the_place_of_one_in_doubt():
+    outcomes = doubted((of("lbl"),))
+    made = times_of(outcomes, lambda o: [e.group for e in o.exclusions])
+    back = times_of(outcomes, lambda o: o.readmitted)
+    assert made[0] == (BEGIN, "lbl.AP1")
+    assert made[1][1] == "lbl"
+    assert (made[1][0], "lbl.AP1") in back
+    swapped = next(o for o in outcomes if second(o.t_ns) == made[1][0])
+    assert swapped.update.excluded == ("lbl",)
+    assert swapped.rewound > 0
 
 
 # --- the decision -------------------------------------------------------------------------------------------
