@@ -22,8 +22,9 @@ from pntegrity.states import is_left_out
 
 __all__ = ["Past", "Proof", "is_due", "left_out_rows", "passes_now", "prove"]
 
-#: A row that was not shown to be off is proved not to be off by so many standard deviations of its noise.
-LEAST_SIGMA = 4.0
+#: A row that was not shown to be off by more is proved not to be off by so many standard deviations of its
+#: residual: what can be seen of it.
+LEAST_SIGMA = 6.0
 #: A trial is worth while where each estimated bias may be so many standard deviations.
 ENOUGH = 2.5
 #: Each trial is this much longer than the one before.
@@ -60,7 +61,7 @@ class Proof:
         be.
     readmission : float
         Probability with which a row passes this trial that is off by as much as it was when it was left out
-        (or by 4 standard deviations, where that is more); 1 where nothing is known of it.
+        (or by 6 standard deviations of its residual, where that is more); 1 where nothing is known of it.
     reason : str
         Why nothing can be said.
     """
@@ -139,11 +140,12 @@ def _places(update: Update, keys: Sequence[str]) -> npt.NDArray[np.intp]:
 
 
 def _sizes(updates: Sequence[Update], keys: Sequence[str], known: Mapping[str, float]) -> FloatArray:
-    """Return by how much each row must be proved not to be off; what rows share is not their own noise."""
-    own: dict[str, float] = {}
+    """Return by how much each row must be proved not to be off."""
+    seen: dict[str, float] = {}
     for u in (u for u in updates if u.keys):
-        own.update(zip(u.keys, (np.diagonal(inverse_definite(u.R)) ** -0.5).tolist(), strict=True))
-    return np.array([max(abs(known.get(k, 0.0)), LEAST_SIGMA * own[k]) for k in keys])
+        spread = (np.diagonal(inverse_definite(u.S)) ** -0.5).tolist()  # against all other rows
+        seen = dict(zip(u.keys, spread, strict=True)) | seen
+    return np.array([max(abs(known.get(k, 0.0)), LEAST_SIGMA * seen[k]) for k in keys])
 
 
 def _proof(trial: Trial, updates: Sequence[Update], proof: Proof) -> Proof:
