@@ -127,7 +127,7 @@ def test_matrices_that_do_not_fit_are_refused_with_their_shapes(wrong):
 
 
 MODULES = [
-    "pntegrity.watch", "pntegrity.simulate.faults",
+    "pntegrity.watch", "pntegrity.simulate.faults", "pntegrity.simulate._fault_text",
     *(f"pntegrity.monitors.{name}" for name in sorted(monitors.discover())),
 ]  # fmt: skip
 

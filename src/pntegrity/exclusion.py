@@ -95,9 +95,10 @@ def _from_names(update: Update, alerts: Sequence[Verdict]) -> Decision:
     clear = [v for v in alerts if not v.ambiguous and len(v.suspects) == 1]
     sure = min(clear, key=lambda v: len(v.suspects[0].groups), default=None)
     chosen = sure or max(alerts, key=lambda v: v.statistic / v.threshold)
-    suspect, others = chosen.suspects[0], tuple(dict.fromkeys(s.groups for s in chosen.suspects[1:]))
-    if sure is None and not (others and all(len(o) > len(suspect.groups) for o in others)):
+    suspect = chosen.foremost
+    if suspect is None:
         return Decision(reason=_unclear(chosen))
+    others = tuple(dict.fromkeys(s.groups for s in chosen.suspects[1:]))
     told = [v.suspects[0].sensors for v in (*clear[::-1], chosen) if v.suspects[0].groups == suspect.groups]
     names = _names(update, suspect.groups, next((s for s in told if s), ()))
     made = (

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide
-from pntegrity.protocols import Estimator, Monitor, Switching, memory_for
+from pntegrity.protocols import Estimator, Monitor, Switching, carried, memory_for
 from pntegrity.proving import Past, Proof, is_due, prove
 from pntegrity.readmission import distrusting, left_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
@@ -245,7 +245,10 @@ class Pipeline:
             update = self.estimator.correct(self.estimator.relax(prior) if free else prior, e, out)
             if switch and e is epoch and not again:
                 update = update.altered(switched=tuple(sorted(switch)))
-            verdicts, memories = self._judge(memories, update)
+            if e is epoch:
+                verdicts, memories = self._judge(memories, update)
+            else:
+                memories = self._carried(memories, update)
             history.append(Past(state, e, out, free))
             updates.append(update)
             state = update.posterior
@@ -258,6 +261,9 @@ class Pipeline:
                 if isinstance(monitor, Switching):
                     return monitor.subfilter(memory, state, groups)
         return state
+
+    def _carried(self, memories: Sequence[Any], update: Update) -> tuple[Any, ...]:
+        return tuple(carried(m, memory, update) for m, memory in zip(self.monitors, memories, strict=True))
 
     def _judge(self, memories: Sequence[Any], update: Update) -> tuple[tuple[Verdict, ...], tuple[Any, ...]]:
         pairs = [

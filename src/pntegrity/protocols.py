@@ -8,7 +8,7 @@ from pntegrity.records import Epoch, Prior, State, Update, Verdict
 
 Memory = TypeVar("Memory")
 
-__all__ = ["Estimator", "Monitor", "Switching", "memory_for"]
+__all__ = ["Carrying", "Estimator", "Monitor", "Switching", "carried", "memory_for"]
 
 
 @runtime_checkable
@@ -62,6 +62,15 @@ class Monitor(Protocol):
 
 
 @runtime_checkable
+class Carrying(Protocol):
+    """A monitor whose verdict costs more than its memory: where the past is run again only the last counts."""
+
+    def carry(self, memory: Any, update: Update) -> Any:
+        """Return the memory after `update`, as `Monitor.step` does."""
+        ...
+
+
+@runtime_checkable
 class Switching(Protocol):
     """A monitor that carries subfilters, to which the filter can go over when their groups are at fault."""
 
@@ -77,6 +86,12 @@ class Switching(Protocol):
         groups : frozenset of str
         """
         ...
+
+
+def carried(monitor: Monitor, memory: Any, update: Update) -> Any:
+    """Return the memory of a monitor after an update whose verdict nobody wants."""
+    memory = memory_for(monitor, memory, update)
+    return monitor.carry(memory, update) if isinstance(monitor, Carrying) else monitor.step(memory, update)[1]
 
 
 def memory_for(monitor: Monitor, memory: Any, update: Update) -> Any:

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from pntegrity.discovery import classes_with
 from pntegrity.errors import InputError
-from pntegrity.formats._acoustics import epochs_of
-from pntegrity.formats.acoustic_table import read_acoustics
-from pntegrity.formats.fixes import read_fixes
+from pntegrity.formats._acoustics import check_in_common, epochs_of
+from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import Epoch, Observation
 from pntegrity.sensors.source import Source
+from pntegrity.source_files import LOADING, fields_of, read_source
 
-__all__ = ["LOADING", "loaded", "sources_of", "types"]
+__all__ = ["check_clocks", "loaded", "sources_of", "types"]
 
-#: Fields of a ``[[source]]`` table that say where its measurements are; all others are those of its type.
-LOADING = ("type", "file", "origin_ns")
+#: A source that begins so much later than the first, or ends so much earlier than the last, is told, s.
+LATE_S = 60.0
 
 
 def types() -> dict[str, type[Any]]:
@@ -56,15 +60,17 @@ def _source(table: dict[str, Any], number: int) -> Source:
     name = str(table.setdefault("name", kind))
     if not name.isidentifier():
         raise ValueError(f"[[source]] {number}: `name` must be letters, digits and _, not {name!r}")
-    given = {k: _plain(v) for k, v in table.items() if k not in LOADING}
     allowed = [f.name for f in fields(cls)]
+    given = {k: _plain(v) for k, v in table.items() if k in allowed or k not in LOADING}
     for key in given:
         if key not in allowed:
             raise ValueError(
                 f"source {name}: a source of type {kind} has no `{key}`; it has {', '.join(allowed)}"
             )
+    told = fields_of(kind, table)
+    named = {k for k in given if isinstance(given[k], str)} & told.keys()  # a file in the place of a value
     try:
-        made: Source = cls(**given)
+        made: Source = cls(**(told | {k: v for k, v in given.items() if k not in named}))
     except (TypeError, ValueError) as error:
         raise ValueError(f"source {name}: {error}") from None
     return made
@@ -90,34 +96,73 @@ def loaded(tables: Sequence[Mapping[str, Any]], notes: list[str]) -> tuple[Epoch
         A file that cannot be used, or a table without one.
     """
     said: list[Observation] = []
-    for source, table in zip(sources_of(tables), tables, strict=True):
-        if not table.get("file"):
-            raise InputError(f"source {source.name}: no `file`", hint='Write file = "its measurements.csv"')
-        found = _read(source, str(table["type"]), Path(table["file"]), table.get("origin_ns"), notes)
+    for table in tables:
+        kind = str(table["type"])
+        found = read_source(kind, table, notes).observations
         if not found:
-            notes.append(f"source {source.name} said nothing")
+            notes.append(f"source {table.get('name', kind)} said nothing")
         said += found
+    _told_apart(said, notes)
     return epochs_of(said)
 
 
-def _read(
-    source: Source, kind: str, path: Path, origin_ns: int | None, notes: list[str]
-) -> Sequence[Observation]:
-    if kind == "fix":
-        return [
-            _named(e.observations[0], source.name) for e in read_fixes(path, origin_ns=origin_ns, notes=notes)
-        ]
-    beacons = getattr(source, "beacons", None)
-    return read_acoustics(
-        path,
-        source=source.name,
-        beacons=tuple(beacons) if beacons else None,
-        origin_ns=origin_ns,
-        notes=notes,
-    )
+Times = npt.NDArray[np.int64]
 
 
-def _named(fix: Observation, source: str) -> Observation:
-    """Return a receiver's fix as a source of another name says it."""
-    keys = tuple(f"{source}:{'D' if k[4] == 'D' else 'R'}.{k[-1]}" for k in fix.keys)
-    return replace(fix, sensor=source, keys=keys)
+def _times_of(observations: Iterable[Observation]) -> dict[str, Times]:
+    """Return when each source said something."""
+    times: dict[str, list[int]] = {}
+    for o in observations:
+        times.setdefault(o.sensor, []).append(o.t_ns)
+    return {name: np.array(t, dtype=np.int64) for name, t in times.items()}
+
+
+def _told_apart(said: Iterable[Observation], notes: list[str]) -> None:
+    """Note sources that have no time in common: one may have ended before the other began."""
+    times = _times_of(said)
+    for a, b in combinations(times, 2):
+        try:
+            check_in_common((a, times[a]), (b, times[b]))
+        except InputError as error:
+            notes.append(f"sources {a} and {b}: {error.message}")
+
+
+def check_clocks(
+    tables: Sequence[Mapping[str, Any]], epochs: Sequence[Epoch], imu_ns: Times, path: Path, notes: list[str]
+) -> None:
+    """Check that each source of a vehicle has times in common with its inertial measurement unit.
+
+    Parameters
+    ----------
+    tables : sequence of mapping
+        As for `sources_of`.
+    epochs : sequence of Epoch
+        Of the run.
+    imu_ns : ndarray of int64
+        Times of the unit.
+    path : Path
+        Of the unit's table, for messages.
+    notes : list of str
+        Gets which source says nothing in the run, begins late or ends early.
+
+    Raises
+    ------
+    InputError
+        A source's clock and that of the unit disagree; both spans are named.
+    """
+    times = _times_of(o for e in epochs for o in e.observations)
+    for table in tables:
+        name = str(table.get("name", table["type"]))
+        if name not in times:
+            notes.append(f"source {name} says nothing in the time of the run")
+            continue
+        check_in_common((name, times[name]), ("the IMU", imu_ns), path)
+        first, last = int(times[name].min()), int(times[name].max())
+        if first - epochs[0].t_ns > LATE_S * SECOND_NS:
+            notes.append(
+                f"source {name} begins at {to_iso(first)}, {(first - epochs[0].t_ns) * 1e-9:.0f} s late"
+            )
+        if epochs[-1].t_ns - last > LATE_S * SECOND_NS:
+            notes.append(
+                f"source {name} ends at {to_iso(last)}, {(epochs[-1].t_ns - last) * 1e-9:.0f} s early"
+            )

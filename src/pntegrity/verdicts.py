@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from pntegrity.kernels.screening import Screening
 
-__all__ = ["SEPARATION", "Bound", "Screening", "Status", "Suspect", "Verdict", "join_reasons"]
+__all__ = ["SEPARATION", "Bound", "Screening", "Status", "Suspect", "Verdict", "join_reasons", "stands_out"]
 
 Status = Literal["ok", "alert", "unavailable"]
 SEPARATION = "separation"
@@ -114,6 +114,23 @@ class Verdict:
     def suspect_groups(self) -> tuple[str, ...]:
         """Groups of the first suspect."""
         return self.suspects[0].groups if self.suspects else ()
+
+    @property
+    def foremost(self) -> Suspect | None:
+        """Whom to leave out, for the time being where it is `ambiguous`; None: nobody (see `stands_out`)."""
+        if self.status != "alert" or (self.ambiguous and len(self.suspects) < 2):
+            return None
+        return self.suspects[0] if stands_out([s.groups for s in self.suspects]) else None
+
+
+def stands_out(sets: Sequence[Sequence[str]]) -> bool:
+    """Tell whether the first of several sets of groups, of which one is at fault, may be left out before it
+    is known which: where all others have more members.
+
+    More groups would then have to fail at once, which is rarer by orders of magnitude before anything is
+    measured. To leave it out is not to say that it is at fault: the levels must cover the others, too.
+    """
+    return bool(sets) and all(len(other) > len(sets[0]) for other in sets[1:])
 
 
 def join_reasons(reasons: Iterable[str]) -> str:

@@ -12,7 +12,7 @@ from polars.testing import assert_frame_equal
 
 from gnss_logs import START, simulated
 from pntegrity.formats.rinex_write import write_navigation, write_observations
-from pntegrity.sensors.gnss import C_MPS
+from pntegrity.sensors.ranges import C_MPS
 from pntegrity.simulate.constellation import nominal_navigation
 from pntegrity.simulate.receiver import keep_only
 

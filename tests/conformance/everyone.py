@@ -108,7 +108,7 @@ def vessel_source() -> Source:
             y = np.concatenate([PLACE, np.zeros(3)]) + sigma * rng.standard_normal(6)
             jump = {"alpha": 12 <= k < 20 or 52 <= k < 58, "gamma": 52 <= k < 58}.get(name, False)
             y[:3] += 20.0 * jump + (0.4 * (k - 30) if name == "beta" and 30 <= k < 48 else 0.0)
-            keys = tuple(f"{name}:{s}" for s in ("R.X", "R.Y", "R.Z", "D.X", "D.Y", "D.Z"))
+            keys = tuple(f"{name}:{s}" for s in ("RX", "RY", "RZ", "DX", "DY", "DZ"))
             given = slice(3 if name == "gamma" and k < 10 else 6)
             if not (73 <= k < 77 or (name == "delta" and k < 8)):
                 cov = {"cov": np.diag(sigma**2)[given]}

@@ -219,7 +219,7 @@ def test_gnatss(gnatss):
     assert (log.lever_arm_m, log.sea_height_m) == ((0.5, -0.25, 1.0), -26.0)
     assert "1 pings without any reply" in log.notes[0]
     fix = log.fixes[0]
-    assert (fix.sensor, fix.t_ns, fix.keys) == ("fix", PING, ("fix:R.X", "fix:R.Y", "fix:R.Z"))
+    assert (fix.sensor, fix.t_ns, fix.keys) == ("fix", PING, ("fix:RX", "fix:RY", "fix:RZ"))
     np.testing.assert_allclose(fix.sigma, [0.01, 0.02, 0.03])
     np.testing.assert_allclose(np.degrees(log.attitude.attitude_rad[0]), [1.0, -2.0, 40.0])
     # the files round times apart; the antenna is above the transducer

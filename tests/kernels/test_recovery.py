@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pntegrity.kernels.recovery import Passes, Trial, sensor_verification, w_test
+from pntegrity.kernels.recovery import ChangeTrial, Passes, Trial, sensor_verification, w_test
 from pntegrity.scenarios._vessel_repairs import window_gains
 from pntegrity.scenarios._vessel_runs import Study
 
@@ -61,3 +61,60 @@ def test_a_healthy_source_passes_a_long_trial(trial):
 def test_rows_and_sizes_must_fit(trial):
     with pytest.raises(ValueError, match="`rows` must be as many"):
         Trial(trial.window, trial.rows, np.array([1.0]), 1e-3, 1e-2)
+
+
+BEARING = np.array([16])
+
+
+@pytest.fixture(scope="module")
+def changed():
+    study = Study("consistent", 1)
+    assert study.model.keys[16] == "usbl:A.bearing"
+    found = tuple(window_gains(study, study.updates[79].posterior.P, 80, 60))
+    size = np.array([0.5 * study.vessel.unit("deg")])
+    return ChangeTrial(found, (BEARING,) * 60, 40, size, 1e-2, 1e-2)
+
+
+def biased(trial, before, after, runs=20_000):
+    early, late = trial._parts
+    noise = np.random.default_rng(5).standard_normal((len(early), runs))
+    return noise + (early @ before + late @ after)[:, None]
+
+
+def test_a_bias_that_the_state_follows_is_not_shown_by_any_window(changed):
+    def shown(window):
+        return Trial(window, (BEARING,) * len(window), changed.size, 1e-2, 1e-2).shown[0]
+
+    study = Study("consistent", 1)
+    used = np.setdiff1d(np.arange(18), BEARING)
+    P = study.updates[79].posterior.P
+    for k in range(80, 120):
+        H, R = study.model.at("H", k)[used], study.model.at("R", k)[np.ix_(used, used)]
+        P = study.model.at("F", k) @ P @ study.model.at("F", k).T + study.model.at("Q", k)
+        K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+        P = (np.eye(len(P)) - K @ H) @ P
+    long = tuple(window_gains(study, P, 120, 60))
+    assert shown(long) < 2.6
+    assert shown(long) < 1.15 * shown(long[:20])
+
+
+def test_a_bias_that_stays_passes_a_change_trial_with_the_probability_stated(changed):
+    for size in (0.5, 1.0, 3.0):
+        bias = size * changed.size
+        passed = changed.passed(biased(changed, bias, bias)).mean()
+        assert passed <= 1.2 * changed.readmission[0]
+
+
+def test_a_bias_that_ends_is_seen_to_end(changed):
+    passed = changed.passed(biased(changed, changed.size, 0.0 * changed.size)).mean()
+    assert passed == pytest.approx(changed.power[0] * 0.99, abs=0.01)
+    assert passed >= 0.9
+
+
+def test_a_bias_that_only_shrinks_a_little_does_not_pass(changed):
+    assert changed.passed(biased(changed, 4.0 * changed.size, 3.0 * changed.size)).mean() <= 0.01
+
+
+def test_a_change_trial_needs_epochs_before_and_after(changed):
+    with pytest.raises(ValueError, match="`before` must be within"):
+        ChangeTrial(changed.window, changed.rows, 60, changed.size, 1e-2, 1e-2)

@@ -15,7 +15,7 @@ from pntegrity.kernels.source_test import (
 )
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.kernels.windows import inverse_root, respond
-from pntegrity.scenarios._vessel_epoch import as_fixes, first_epoch_power
+from pntegrity.scenarios._vessel_epoch import _position_without, as_fixes, first_epoch_power, later_power
 from pntegrity.scenarios._vessel_runs import Study
 from pntegrity.simulate.ensembles import filtered
 from pntegrity.states import group_of
@@ -64,6 +64,29 @@ def test_left_out_fixes_are_the_separation_of_full_solutions(epoch, source):
 def test_the_power_of_both_is_the_same(study):
     power = first_epoch_power(study, 80.0, 20.0, 1e-4)
     assert power["left-out fix"] == pytest.approx(power["full separation"], abs=1e-9)
+
+
+def test_left_out_rows_forget_a_bias_and_a_window_does_not(study):
+    power = later_power(study, 80.0, 10.0, 1e-4)
+    first = first_epoch_power(study, 80.0, 10.0, 1e-4)
+    assert power["left-out rows"][0] == pytest.approx(first["left-out rows"], abs=1e-12)
+    assert power["left-out rows"] == sorted(power["left-out rows"], reverse=True)
+    for name in ("recursive separation of each", "window's GLR"):
+        assert power[name] == sorted(power[name])
+        assert power[name][1] > 0.99
+
+
+def test_a_recursive_separation_has_the_covariance_stated(study):
+    """Positions of the filter with all rows and of one that has left out a satellite, by simulation."""
+    many = Study("consistent", 600)
+    quiet = np.zeros((400, 18))
+    used = np.ones_like(quiet, dtype=bool)
+    used[140:, 3] = False
+    full = many.full(quiet)
+    other = filtered(many.model, many.noise, quiet, used, after=full, first=140, last=165)
+    apart = (other.error[-1] - full.error[164])[:3]
+    cov = _position_without(many, np.array([3]), 140, [164])[164] - many.updates[164].posterior.P[:3, :3]
+    assert np.cov(apart) == pytest.approx(cov, abs=0.15 * np.abs(cov).max())
 
 
 def test_the_statistic_taken_literally_never_comes_near_its_threshold(study):

@@ -7,10 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pntegrity.monitors._explanations import Explanation, minimal
+from pntegrity.monitors._explanations import Explanation, first_of_all, minimal
 from pntegrity.monitors._sources import sensors_of
 from pntegrity.monitors.sensor_window import SensorWindow
 from pntegrity.monitors.source_separation import SourceSeparation
+from pntegrity.records import Suspect, Verdict
 from pntegrity.scenarios._vessel_runs import Case, Study
 from pntegrity.simulate.linear import Disturbance, draw, shifts, whites
 
@@ -99,6 +100,32 @@ def test_the_best_explanation_must_lead_by_a_margin():
     assert [e.names for e in minimal(close)] == [("a",), ("c",)]
     assert [e.names for e in minimal([one("a", 5.0, 40.0), one("ab", 5.0, 60.0)])] == [("a",)]
     assert minimal([one("a", 25.0, 40.0)]) == ()
+
+
+def test_several_sources_must_be_beaten_by_more_and_count_as_less_likely():
+    def one(names, gained):
+        return Explanation(tuple(names), 5.0, 20.0, gained)
+
+    found = minimal([one("c", 40.0), one("ab", 20.0)])
+    assert [e.names for e in found] == [("c",), ("a", "b")]
+    assert first_of_all(found).names == ("c",)
+    assert [e.names for e in minimal([one("c", 40.0), one("ab", 14.0)])] == [("c",)]
+    found = minimal([one("c", 40.0), one("ab", 60.0)])
+    assert [e.names for e in found] == [("a", "b"), ("c",)]
+    assert first_of_all(found) is None
+    assert first_of_all(minimal([one("a", 40.0), one("b", 38.0)])) is None
+
+
+def test_the_first_may_be_left_out_in_doubt_where_others_are_more():
+    def verdict(*sets, ambiguous=True):
+        suspects = tuple(Suspect(tuple(s), "bias", 1.0, 0, 1.0) for s in sets)
+        return Verdict("m", "exact", 0, "alert", suspects=suspects, ambiguous=ambiguous)
+
+    assert verdict("c", "ab").foremost.groups == ("c",)
+    assert verdict("c", "a").foremost is None
+    assert verdict("ab", "c").foremost is None
+    assert verdict("c").foremost is None
+    assert verdict("c", ambiguous=False).foremost.groups == ("c",)
 
 
 def test_sensors_are_known_by_the_names_of_the_rows():

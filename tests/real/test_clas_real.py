@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pntegrity.estimators._gnss import GnssOptions, track
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators.ppp_rtk import PppRtk
 from pntegrity.formats.antex import read_antex
 from pntegrity.formats.bias import read_biases
@@ -31,6 +31,7 @@ from pntegrity.physics.tables import Navigation, SignalTable
 from pntegrity.physics.time import SECOND_NS, from_week_tow
 from pntegrity.records import State
 from pntegrity.sensors.noise import PPP
+from pntegrity.sensors.snapshot import track
 
 FOLDER = "clas-sept-2021078"
 TRUTH = np.array([-3962108.673, 3381309.574, 3668678.638])

@@ -15,7 +15,7 @@ from pntegrity.physics.atmosphere_products import metres_per_tecu
 from pntegrity.physics.frames import elevation_azimuth
 from pntegrity.records import State
 from pntegrity.run import load_epochs, options_for
-from pntegrity.sensors.gnss import geometry
+from pntegrity.sensors.ranges import geometry
 from pntegrity.stations import pinned, products_from_station
 
 OPEC = np.array([3149785.49, 598261.34, 5495348.98])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pntegrity.scenarios._vessel_bounds import levels
+from pntegrity.scenarios._vessel_doubt import doubtful
 from pntegrity.scenarios._vessel_repairs import isolated_error, recovery, sensor_delays
 from pntegrity.scenarios._vessel_runs import Study
 
@@ -34,8 +35,28 @@ def test_two_beacons_are_named_at_once_and_left_out(study):
 
 def test_a_common_ramp_is_ambiguous(study):
     found = study.detect(study.shifted(("gnss", "lbl"), (0.3, 0.0, 0.0), 80.0, 100.0), 80.0, 100.0)
-    assert found.ambiguous.mean() >= 0.8
-    assert sum(s == ("usbl",) for s in found.sources) <= 3
+    alarmed = np.isfinite(found.alarm_s)
+    assert alarmed.mean() >= 0.9
+    assert found.ambiguous[alarmed].all()
+    assert not any("usbl" in names for names in found.certain)
+
+
+def test_levels_cover_who_is_left_out_in_doubt(study):
+    faults = study.shifted(("gnss", "lbl"), (0.0, 0.3, 0.0), 80.0, 100.0)
+    found = study.detect(faults, 80.0, 100.0)
+    doubted = doubtful(study, faults, found)
+    assert len(doubted.ratio) >= 10
+    assert (doubted.ratio < 1.0).all()
+    assert np.median(doubted.level_m) > 2.0 * np.median(doubted.alone_m)
+
+
+def test_a_range_that_drifts_is_left_out_in_doubt_and_named_later(study):
+    case = case_of(study, "6")
+    found = study.detect(study.faults(case), case.from_s, case.to_s)
+    assert sum(names == ("usbl",) for names in found.sources) >= 19
+    assert np.median(found.named_s) <= 6.0
+    assert sum(names == ("usbl",) for names in found.certain) >= 10
+    assert sum(set(rivals) <= {("gnss", "lbl")} for rivals in found.rivals) >= 18
 
 
 def test_published_windows_are_slow_where_they_begin_anew(study):

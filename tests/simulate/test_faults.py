@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 from pntegrity.physics.time import from_iso
 from pntegrity.records import Epoch, Observation
-from pntegrity.simulate.faults import apply_faults, describe, groups_at_fault, parse_fault, signature
+from pntegrity.simulate.faults import (
+    apply_faults,
+    describe,
+    groups_at_fault,
+    parse_fault,
+    signature,
+    touches_any,
+)
 
 SECOND = 10**9
 START = from_iso("2019-01-14T06:15:00")
@@ -132,6 +139,91 @@ def test_faults_add_up_and_seconds_can_count_from_elsewhere():
     faults = [parse_fault("G05 bias 1 m"), parse_fault("G05 ramp 1 m/s")]
     assert apply_faults([epoch], faults, first_ns=START)[0].observations[0].y[0] == 6.0
     assert apply_faults([epoch], faults)[0].observations[0].y[0] == 1.0
+
+
+ROWS = ("lbl:R.T1", "lbl:R.T2", "usbl:R.range", "usbl:A.bearing", "gnss:RX", "gnss:R.G05", "gnss:D.G05")
+
+
+def said(keys, y=None, **aux):
+    group = keys[0].partition(":")[0]
+    return Observation(group, START, tuple(keys), np.zeros(len(keys)) if y is None else y, aux=aux)
+
+
+def shift(text, *observations):
+    (epoch,) = apply_faults([Epoch(START, observations)], [parse_fault(text)])
+    return np.concatenate([o.y for o in epoch.observations]) - np.concatenate([o.y for o in observations])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("lbl.T1 bias 5 ms", [5e-3, 0, 0, 0, 0, 0, 0]),
+        ("lbl bias 0.1 s", [0.1, 0.1, 0, 0, 0, 0, 0]),
+        ("usbl bias 2 m", [0, 0, 2, 0, 0, 0, 0]),
+        ("usbl bias 0.5 deg", [0, 0, 0, np.deg2rad(0.5), 0, 0, 0]),
+        ("usbl.bearing bias 3 mrad", [0, 0, 0, 3e-3, 0, 0, 0]),
+        ("gnss:RX bias 2 m", [0, 0, 0, 0, 2, 0, 0]),
+        ("gnss.G05 bias 100 ns", [0, 0, 0, 0, 0, 29.9792458, 0]),
+        ("gnss.G05:* bias 2 m", [0, 0, 0, 0, 0, 2, 0]),
+        ("lbl bias 2 m", [0] * 7),
+    ],
+)
+def test_the_unit_of_a_fault_of_a_source_says_which_rows_it_falls_on(text, expected):
+    lbl = said(ROWS[:2], ways=np.array([2, 2]))
+    usbl, gnss = said(ROWS[2:4]), said(ROWS[4:])
+    np.testing.assert_allclose(shift(text, lbl, usbl, gnss), expected, rtol=1e-12)
+
+
+def test_a_drift_in_a_direction_is_turned_into_ecef_at_the_first_position():
+    north_pole_side = np.array([0.0, -6.378137e6, 0.0])  # on the equator at 90 degrees west
+    fix = said(("gnss:RX", "gnss:RY", "gnss:RZ"), north_pole_side)
+    np.testing.assert_allclose(shift("gnss:north bias 3 m", fix), [0, 0, 3], atol=1e-9)
+    np.testing.assert_allclose(shift("gnss:east bias 3 m", fix), [3, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(shift("gnss:down bias 3 m", fix), [0, 3, 0], atol=1e-9)
+    later = Observation("gnss", START + 100 * SECOND, fix.keys, fix.y)
+    epochs = [Epoch(START, (fix,)), Epoch(later.t_ns, (later,))]
+    moved = apply_faults(epochs, [parse_fault("gnss:up ramp 0.05 m/s 20:")])[1].observations[0].y - later.y
+    np.testing.assert_allclose(moved, [0, -4.0, 0], atol=1e-9)
+
+
+def test_a_fault_that_falls_on_no_row_in_its_unit_touches_nothing():
+    epochs = [Epoch(START, (said(ROWS[:2], ways=np.array([2, 2])),))]
+    assert touches_any(parse_fault("lbl bias 5 ms"), epochs)
+    assert not touches_any(parse_fault("lbl bias 5 m"), epochs)
+    assert not touches_any(parse_fault("lbl.T3 bias 5 ms"), epochs)
+    assert not touches_any(parse_fault("lbl:north bias 5 m"), epochs)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("lbl bias 500 us", "write travel times of lbl in ms or s"),
+        ("G05 bias 5 ms", "no unit of what G05 measures"),
+        ("gnss:north ramp 1 deg/s", "no unit"),
+        ("clock-drift 1 ms/s", "no unit"),
+        ("lbl bias 5 ms/s", "must be s,"),
+        ("lbl. bias 5 ms", "no target"),
+    ],
+)
+def test_units_that_rows_cannot_be_in_are_refused(text, why):
+    with pytest.raises(ValueError, match="a fault is written") as caught:
+        parse_fault(text)
+    assert why in str(caught.value).splitlines()[0]
+
+
+def test_faults_of_sensors_hit_the_sensor_and_its_source():
+    fault = parse_fault("lbl.T1 bias 5 ms")
+    assert fault.hits(["lbl", "lbl.T1", "lbl.T2", "gnss"]) == {"lbl", "lbl.T1"}
+    assert parse_fault("lbl bias 5 ms").hits(["lbl.T1", "gnss"]) == {"lbl.T1"}
+
+
+def test_words_for_faults_of_sources():
+    assert describe(parse_fault("lbl.T1 bias 5 ms 10:20")) == "bias of 0.005 s on lbl.T1, from 10 s to 20 s"
+    assert (
+        describe(parse_fault("gnss:north ramp 0.05 m/s"))
+        == "ramp of 0.05 m/s on gnss northwards, from 0 s on"
+    )
+    assert describe(parse_fault("usbl bias 1 deg")) == "bias of 1 deg on usbl, from 0 s on"
 
 
 def test_words_for_people():

@@ -9,8 +9,8 @@ import pytest
 from gnss_logs import NOISE, PLACE, SECOND, START, fingerprint, log, navigation, options
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.scenarios._urban_logs import missing, nagoya_log, scenario, tst_library, tst_with_imu
-from pntegrity.sensors.gnss import C_MPS
 from pntegrity.sensors.imu import LOW_COST, STIM300
+from pntegrity.sensors.ranges import C_MPS
 from pntegrity.simulate.error_library import ErrorLibrary, library_of, mode_of
 from pntegrity.simulate.motion import motion_of_drive
 from pntegrity.simulate.trajectory import straight

@@ -21,6 +21,8 @@ COMMANDS = {
     "audit": "Does a monitor keep its false-alarm rate on this geometry, and what would it see?",
     "calibrate": "Fit the noise model to a receiver's log.",
     "train-factors": "Thresholds of factor-set detection from logs without faults.",
+    "simulate-imu": "An inertial measurement unit on the track of a real log that has none.",
+    "simulate-vessel": "A vessel with several sources beside an inertial unit, to try without data.",
     "products": "Products of the atmosphere from a station whose place is known.",
     "reproduce": "A published experiment, beside its published figures.",
     "evidence": "The measured figures behind docs/results.md.",

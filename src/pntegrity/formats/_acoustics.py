@@ -22,7 +22,7 @@ __all__ = [
     "with_repeats",
 ]  # fmt: skip
 
-FIX_KEYS = ("fix:R.X", "fix:R.Y", "fix:R.Z")
+FIX_KEYS = ("fix:RX", "fix:RY", "fix:RZ")
 #: As many times unchanged is told.
 TOLD_REPEATS = 3
 

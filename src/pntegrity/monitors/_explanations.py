@@ -11,11 +11,19 @@ import numpy as np
 from pntegrity.kernels.source_test import WithoutSource
 from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.records import FloatArray
+from pntegrity.verdicts import stands_out
 
-__all__ = ["Explanation", "explanations", "faulty_sensors", "minimal"]
+__all__ = ["Explanation", "explanations", "faulty_sensors", "first_of_all", "minimal"]
 
 #: Twice the log-likelihood by which one explanation must beat another to be preferred.
 MARGIN = 9.0
+#: By which it must beat several sources, or several must beat others. Of 500 common drifts of two sources
+#: out of three, watched for 20 s, one gave the third 21.
+LEAD = 25.0
+#: By which a fault of one source more must explain more to be as likely: it occurs a thousandth as often.
+RARE = 14.0
+#: Several sources are dismissed at so much of the probability of one: a healthy source would be blamed.
+RARELY = 1e-2
 #: Sensors of which several may be at fault, the most suspicious first.
 AMONG_SENSORS = 5
 
@@ -47,31 +55,50 @@ class Explanation:
         return self.worst <= self.allowed
 
 
-def minimal(found: Sequence[Explanation], margin: float = MARGIN) -> tuple[Explanation, ...]:
-    """Return the explanations that hold and than which no other explains more by a margin; the best first.
+def minimal(
+    found: Sequence[Explanation], margin: float = MARGIN, lead: float = LEAD
+) -> tuple[Explanation, ...]:
+    """Return the explanations that hold and than which no other explains more by a margin; the most likely
+    first.
 
     Where a part of one holds and explains as much, that is enough. Where the part explains less by the
     margin, the whole is what it must compete with: two sources may agree where each alone does not.
-    Where the best may have begun before the window no margin counts: the state may have followed a fault of
-    others until they look right.
+    Where one of the two is of several sources it must be a `lead`: a drift on which sources agree looks like
+    a fault of another, but for what the motion model knows of it. Where the best may have begun before the
+    window no margin counts: the state may have followed a fault of others until they look right.
     """
     holding = sorted((e for e in found if e.holds), key=lambda e: (len(e.names), -e.gained, e.names))
     least = [e for e in holding if not any(set(o.names) < set(e.names) for o in holding)]
     best = max(least, key=lambda e: e.gained, default=None)
-    limit = -np.inf if best is None or best.old else best.gained - margin
     kept: list[Explanation] = []
     for e in holding:
-        if e.gained > limit and not any(set(o.names) < set(e.names) for o in kept):
+        if best is None or best.old:
+            behind = -np.inf
+        else:
+            behind = best.gained - (margin if len(e.names) == len(best.names) == 1 else lead)
+        if e.gained > behind and not any(set(o.names) < set(e.names) for o in kept):
             kept.append(e)
-    return tuple(sorted(kept, key=lambda e: (-e.gained, e.names)))
+    return tuple(sorted(kept, key=lambda e: (RARE * len(e.names) - e.gained, e.names)))
+
+
+def first_of_all(found: Sequence[Explanation]) -> Explanation | None:
+    """Return whom to leave out, perhaps for the time being; None: nobody (see `verdicts.stands_out`)."""
+    return found[0] if stands_out([e.names for e in found]) else None
 
 
 def explanations(
     evidence: Evidence, white: FloatArray, sets: Sequence[tuple[str, ...]], p: float
 ) -> list[list[Explanation]]:
-    """Return for each run whether sets of sources explain its whitened innovations, shape (D, runs)."""
-    rests = [(evidence.without_sources(names), evidence.gained(white, names)) for names in sets]
-    out, explained = _each_run(white, sets, rests, p), evidence.explained(white)
+    """Return for each run whether sets of sources explain its whitened innovations, shape (D, runs).
+
+    Whether something is left without them the last part of the window says; how much their own faults explain
+    all of it: what tells a source from the others together is the motion before the fault.
+    """
+    recent = evidence.recent
+    rests = [(recent.without_sources(names), evidence.gained(white, names)) for names in sets]
+    limits = [p if len(names) == 1 else p * RARELY for names in sets]
+    out = _each_run(white[-len(recent.keys) :], sets, rests, limits)
+    explained = evidence.explained(white)
     return [
         [replace(e, old=evidence.is_old(evidence.best(explained[:, r], e.names))) for e in tried]
         for r, tried in enumerate(out)
@@ -79,12 +106,14 @@ def explanations(
 
 
 def faulty_sensors(
-    evidence: Evidence, white: FloatArray, source: str, p: float, most: int = 3
+    whole: Evidence, white: FloatArray, source: str, p: float, most: int = 3
 ) -> list[tuple[tuple[str, ...], ...]]:
     """Return the smallest sets of sensors of a source that explain each run alone: one set, several where
     they cannot be told apart, none where no set of at most `most` does.
     """
-    sensors = sensors_of(evidence.window[-1].keys).get(source, ())
+    evidence = whole.recent
+    white = white[-len(evidence.keys) :]
+    sensors = sensors_of(evidence.keys).get(source, ())  # beacons may answer one at a time
     out: list[tuple[tuple[str, ...], ...]] = [()] * white.shape[1]
     left, suspicious = np.arange(white.shape[1]), sensors
     for size in range(1, min(most, len(sensors) - 1) + 1):
@@ -98,9 +127,9 @@ def faulty_sensors(
             )
             for names in sets
         ]
-        found = _each_run(white[:, left], sets, rests, p)
+        found = _each_run(white[:, left], sets, rests, [p] * len(sets))
         for r, tried in zip(left, found, strict=True):
-            out[r] = tuple(e.names for e in minimal(tried))
+            out[r] = tuple(e.names for e in minimal(tried, lead=MARGIN))
         left = np.array([r for r in left if not out[r]], dtype=np.intp)
         suspicious = _most_suspicious([t for r, t in zip(left, found, strict=False)], suspicious)
     return out
@@ -117,10 +146,10 @@ def _most_suspicious(found: list[list[Explanation]], sensors: tuple[str, ...]) -
 
 def _each_run(
     white: FloatArray, sets: Sequence[tuple[str, ...]], rests: Sequence[tuple[WithoutSource, FloatArray]],
-    p: float,
+    limits: Sequence[float],
 ) -> list[list[Explanation]]:  # fmt: skip
     out: list[list[Explanation]] = [[] for _ in range(white.shape[1])]
-    for names, (rest, gained) in zip(sets, rests, strict=True):
+    for names, (rest, gained), p in zip(sets, rests, limits, strict=True):
         worst, allowed = rest.explained(white).max(axis=0, initial=0.0), rest.allowed(p)
         for r, tried in enumerate(out):
             tried.append(Explanation(names, float(worst[r]), allowed, float(gained[r])))

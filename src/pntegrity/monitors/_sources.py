@@ -22,13 +22,19 @@ from pntegrity.states import group_of, sensor_of
 __all__ = ["Evidence", "looks", "sensors_in", "sensors_of", "sources_in"]
 
 IntArray = npt.NDArray[np.intp]
-#: A source with at least so many level sensors may shift as a whole: three determine a position.
+#: A source with at least so many level sensors, or axes, may shift as a whole: three determine a position.
 SHIFTABLE = 3
-#: A window is cut to so many rows: what is made of it grows with their square.
-MOST_ROWS = 400
+#: A window is cut to so many rows, of which the last so many are looked at without some of them: what that
+#: takes grows with their cube.
+MOST_ROWS, RECENT_ROWS = 1200, 400
 #: Ages of onsets that are looked at in a window, epochs.
-AGES = (0, 1, 2, 3, 5, 7, 10, 14, 20, 28, 40, 64)
+AGES = (*range(16), *range(16, 40, 2), *range(40, 65, 4))
 SHIFT = "shift"
+#: Directions between the axes: no direction is farther than 28 degrees from one of these or an axis.
+DIAGONALS = (
+    (0, 1, 1), (0, 1, -1), (1, 0, 1), (1, 0, -1), (1, 1, 0), (1, -1, 0),
+    (1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1),
+)  # fmt: skip
 #: Epochs of a window in which a fault can be said to have begun before it.
 OLD_ENOUGH = 8
 
@@ -58,22 +64,31 @@ def looks(update: Update, kind: str) -> tuple[tuple[Signature, ...], tuple[Float
     """Return the faults that are looked for in an update, and the rows (m, s) that grow and that jump.
 
     Those of `signatures.catalogue` on every sensor, and on all sensors whose names begin with the same
-    letters; and a source with some sensors as if the position were elsewhere: a shift along each axis.
+    letters; and a source with some sensors as if the position were elsewhere: a shift along each axis, and
+    where it has no sensors, a position itself, between the axes as well.
     """
     signatures, touched, shifts = _faults(update.keys, update.prior.layout.names, kind)
     growing, constant = touched
     if not len(shifts):
         return signatures, touched
     growing, constant = growing.copy(), constant.copy()
-    for column, rows, rates, position, velocity in shifts:
+    states = update.prior.layout.names
+    position, velocity = _block(states, "pos:"), _block(states, "vel:")
+    for column, rows, rates, way in shifts:
         target = growing if kind == "ramp" else constant
-        target[rows, column] = update.H[rows, position]
-        if kind == "ramp" and velocity >= 0:
-            constant[rates, column] = update.H[rates, velocity]
+        target[rows, column] = update.H[np.ix_(rows, position)] @ way
+        if kind == "ramp" and len(velocity):
+            constant[rates, column] = update.H[np.ix_(rates, velocity)] @ way
     return signatures, (growing, constant)
 
 
-Shift = tuple[int, IntArray, IntArray, int, int]
+#: Column, rows of levels and of rates, and the direction of the shift.
+Shift = tuple[int, IntArray, IntArray, FloatArray]
+
+
+@lru_cache(maxsize=256)
+def _block(states: tuple[str, ...], kind: str) -> IntArray:
+    return np.array([i for i, name in enumerate(states) if name.startswith(kind)], dtype=np.intp)
 
 
 @lru_cache(maxsize=256)
@@ -84,17 +99,20 @@ def _faults(
     single = catalogue(named, kind)
     whole: list[Signature] = []
     shifts: list[Shift] = []
-    position = [i for i, name in enumerate(states) if name.startswith("pos:")]
-    velocity = [i for i, name in enumerate(states) if name.startswith("vel:")] or [-1] * len(position)
+    position = _block(states, "pos:")
     for source in sensors_of(keys):
         own = [i for i, key in enumerate(keys) if group_of(key) == source]
         rows = np.array([i for i in own if not is_rate(keys[i])], dtype=np.intp)
         rates = np.array([i for i in own if is_rate(keys[i])], dtype=np.intp)
-        if len({sensor_of(keys[i]) for i in rows}) < SHIFTABLE:
+        if len({sensor_of(keys[i]) or keys[i] for i in rows}) < SHIFTABLE:
             continue
-        for at, rate in zip(position, velocity, strict=True):
-            shifts.append((len(single) + len(whole), rows, rates, at, rate))
-            whole.append(Signature((source,), kind, (f"{SHIFT}:{states[at]}",)))
+        names = [f"{SHIFT}:{states[i]}" for i in position]
+        ways = dict(zip(names, np.eye(len(position)), strict=True))
+        if len(position) == 3 and not any(sensor_of(keys[i]) for i in rows):
+            ways |= {f"towards:{way}": np.array(way) / np.linalg.norm(way) for way in DIAGONALS}
+        for name, way in ways.items():
+            shifts.append((len(single) + len(whole), rows, rates, way))
+            whole.append(Signature((source,), kind, (name,)))
     signatures = single + tuple(whole)
     return signatures, masks(signatures, named), tuple(shifts)
 
@@ -119,11 +137,16 @@ class Evidence:
     window: tuple[Update, ...]
 
     @staticmethod
-    def of(window: Sequence[Update]) -> Evidence:
-        """Return the evidence of the last updates, as many as have some hundred rows."""
-        rows = np.cumsum([len(u.keys) for u in window[::-1]])
-        kept = max(int((rows <= MOST_ROWS).sum()), 1)
+    def of(window: Sequence[Update], rows: int = MOST_ROWS) -> Evidence:
+        """Return the evidence of the last updates, as many as have so many rows."""
+        total = np.cumsum([len(u.keys) for u in window[::-1]])
+        kept = max(int((total <= rows).sum()), 1)
         return Evidence(tuple(window[-kept:]))
+
+    @cached_property
+    def recent(self) -> Evidence:
+        """The last part of the window, which is looked at without some of its rows."""
+        return Evidence.of(self.window, RECENT_ROWS)
 
     @property
     def white(self) -> FloatArray:
@@ -282,12 +305,12 @@ class Evidence:
         return [np.linalg.qr(np.stack(list(axes.values()), axis=1))[0] for axes in whole.values()]
 
     def is_old(self, fault: int) -> bool:
-        """Tell whether a fault begins at one of the oldest onsets of its kind that are looked at."""
+        """Tell whether a fault begins at the oldest onset that is looked at."""
         faults = self.faults[1]
         if fault < 0 or len(self.window) < OLD_ENOUGH:
             return False
-        onsets = faults.onset[faults.signature == faults.signature[fault]]
-        return int(faults.onset[fault]) <= int(np.sort(onsets)[min(1, len(onsets) - 1)])
+        alike = faults.onset[faults.signature == faults.signature[fault]]
+        return int(faults.onset[fault]) <= int(alike.min())
 
     def best(self, explained: FloatArray, sources: Iterable[str]) -> int:
         """Return which fault of some sources explains most, -1 where they have none."""

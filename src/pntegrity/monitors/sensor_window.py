@@ -136,6 +136,14 @@ class SensorWindow:
         verdict = Verdict(self.name, self.variant, update.t_ns, "alert", *facts)
         return self._named(after.window, verdict), after
 
+    def carry(self, memory: SensorMemory, update: Update) -> SensorMemory:
+        """Return the memory after `update`, whose verdict nobody wants."""
+        return (
+            self._published(memory, update)[1]
+            if self.variant == "published"
+            else self.plan(memory, update)[1]
+        )
+
     def _named(self, window: Window, verdict: Verdict) -> Verdict:
         evidence = Evidence.of(window)
         y = evidence.white[:, None]
@@ -150,7 +158,7 @@ class SensorWindow:
                 named = tuple(s for s in sensors if s)
                 onset_ns = window[0].t_ns
                 suspects.append(Suspect(one.names, "bias", 0.0, onset_ns, one.gained, named))
-        present = set(window[-1].groups())
+        present = {group for u in window for group in u.groups()}  # sources may measure in turn
         kept = tuple(s for s in suspects if present.issuperset(s.groups))
         return replace(verdict, suspects=kept, ambiguous=unsure)
 

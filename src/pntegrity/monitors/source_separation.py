@@ -17,7 +17,7 @@ from pntegrity.monitors._explanations import Explanation, explanations, minimal
 from pntegrity.monitors._hypotheses import HypothesesMemory
 from pntegrity.monitors._members import in_order
 from pntegrity.monitors._options import check_epochs, check_sets, check_test
-from pntegrity.monitors._sources import Evidence, looks, sensors_in, sources_in
+from pntegrity.monitors._sources import Evidence, looks, sensors_in, sensors_of, sources_in
 from pntegrity.monitors._window import no_redundancy, unavailable
 from pntegrity.records import FloatArray, Suspect, Update, Verdict, group_of
 
@@ -50,7 +50,9 @@ class SourceSeparation:
     Then the window is looked at without each source, and without several: those without which nothing is left
     that has another explanation (at a probability of `p_identify`) explain it. One such set is named; are
     there several, and none whose own faults explain more by a margin, the verdict is `ambiguous` and holds
-    all of them. Left-out rows of one epoch alone would
+    all of them, the most likely first. The margin is larger where either set is of several sources: a drift
+    on which these agree looks like a fault of another. Where all other candidates need more sources at fault
+    at once, the first may be left out in doubt (`Verdict.foremost`). Left-out rows of one epoch alone would
     blame a healthy source once the prior has followed a ramp.
 
     `published` is that test of left-out rows, each source's against the others and the prior they share; a
@@ -99,6 +101,11 @@ class SourceSeparation:
         check_epochs("longest", self.longest, 8)
         check_sets("together", self.together, self.p_identify)
 
+    @property
+    def kept(self) -> int:
+        """Epochs of the window: half as many again as the oldest onset, for what was before it."""
+        return self.longest + self.longest // 2
+
     def start(self) -> SourceMemory:
         """Return the memory of a monitor that has seen nothing."""
         return SourceMemory(HypothesesMemory.empty())
@@ -107,20 +114,16 @@ class SourceSeparation:
         """Return the test of `update` (`exact`), without data, and the memory after it, but for its sums."""
         test, bank = _hypotheses.plan(memory.bank, update, looks, self.longest, self.p_fa, self.factor)
         window = () if update.is_start or not update.keys else memory.window
-        return test, SourceMemory(bank, (*window, update)[-self.longest :] if update.keys else ())
+        return test, SourceMemory(bank, (*window, update)[-self.kept :] if update.keys else ())
 
     def step(self, memory: SourceMemory, update: Update) -> tuple[Verdict, SourceMemory]:
         """Test the sources after `update`."""
         if self.variant == "published":
             return self._published(memory, update)
-        test, after = self.plan(memory, update)
-        if not update.keys:
+        test, after = self._taken(memory, update)
+        if test.reason or not update.keys:
             return unavailable(self.name, self.variant, update, test.reason), after
-        num = test.carry(memory.bank.num, update.white)
-        after = replace(after, bank=replace(after.bank, num=num))
-        if test.reason:
-            return unavailable(self.name, self.variant, update, test.reason), after
-        statistic = float((num * num * test.inverse).max())
+        statistic = float((after.bank.num**2 * test.inverse).max())
         facts = (statistic, test.threshold, self.p_fa, 1)
         if statistic <= test.threshold:
             return Verdict(self.name, self.variant, update.t_ns, "ok", *facts), after
@@ -128,10 +131,23 @@ class SourceSeparation:
             after.window, Verdict(self.name, self.variant, update.t_ns, "alert", *facts)
         ), after
 
+    def carry(self, memory: SourceMemory, update: Update) -> SourceMemory:
+        """Return the memory after `update`, whose verdict nobody wants."""
+        if self.variant == "published":
+            return self._published(memory, update)[1]
+        return self._taken(memory, update)[1]
+
+    def _taken(self, memory: SourceMemory, update: Update) -> tuple[MaximumTest, SourceMemory]:
+        test, after = self.plan(memory, update)
+        if not update.keys:
+            return test, after
+        num = test.carry(memory.bank.num, update.white)
+        return test, replace(after, bank=replace(after.bank, num=num))
+
     def _named(self, window: tuple[Update, ...], verdict: Verdict) -> Verdict:
         evidence = Evidence.of(tuple(map(_ordered, window)))  # rounding must not choose between equals
         found = Identification.of(evidence, evidence.white, self.together, self.p_identify)
-        present = set(window[-1].groups())
+        present = {group for u in window for group in u.groups()}  # sources may measure in turn
         suspects = tuple(s for s in found.suspects() if present.issuperset(s.groups))
         ambiguous = len(found.candidates) != 1
         return replace(verdict, suspects=suspects, ambiguous=ambiguous, reason=found.reason)
@@ -233,6 +249,8 @@ class Identification:
         onset_ns = self.evidence.window[int(faults.onset[i])].t_ns
         first = sorted(names, key=lambda g: g not in sources_in(signature))
         sensors = sensors_in(signature) if len(first) == 1 else ()
+        if set(sensors) == set(sensors_of(self.evidence.keys).get(first[0], ())):
+            sensors = ()  # all that the source has
         return Suspect(tuple(first), kind, size, onset_ns, float(self.explained[i]), sensors)
 
 

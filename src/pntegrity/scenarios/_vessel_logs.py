@@ -14,6 +14,7 @@ from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators._ins_options import InsOptions
 from pntegrity.estimators.multi_source import MultiSource
 from pntegrity.physics.frames import enu_rotation
+from pntegrity.physics.tables import Navigation, SignalTable
 from pntegrity.records import FloatArray, Observation
 from pntegrity.satellite_source import merged
 from pntegrity.sensors.depth import Depth
@@ -23,15 +24,15 @@ from pntegrity.sensors.lbl import Lbl
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.sensors.source import Source
 from pntegrity.sensors.usbl import Usbl
-from pntegrity.simulate.constellation import nominal_navigation
+from pntegrity.simulate.constellation import KLOBUCHAR, nominal_navigation
 from pntegrity.simulate.motion import Motion
 from pntegrity.simulate.receiver import Receiver, epochs_of, simulate
 from pntegrity.simulate.vessel_log import Fault, VesselLog, cruise, vessel_log
 
-__all__ = ["START_NS", "Ship", "estimator", "facts", "fault_of", "ship", "ship_log"]
+__all__ = ["START_NS", "Ship", "estimator", "facts", "fault_of", "ship", "ship_log", "sky"]
 
 START_NS = 1_400_000_000_000_000_000
-SATELLITES, MASK_DEG = 12, 12.0
+SYSTEMS, SATELLITES, MASK_DEG = "GE", 12, 12.0
 DEG, HOUR = np.pi / 180.0, 3600.0
 
 
@@ -85,8 +86,9 @@ def ship(seconds: float, rate_hz: float = 2.0, *, depth: bool = False) -> Ship:
     if depth:
         sources[Depth(sigma_m=0.3)] = ("depth:R.z",)
     gnss = Gnss(
-        mask_deg=MASK_DEG, doppler=False, sigma_m=noise["pseudorange_m"], slow_sigma_m=0.0, cn0_ref_dbhz=0.0
-    )
+        mask_deg=MASK_DEG, doppler=False, sigma_m=noise["pseudorange_m"], slow_sigma_m=0.0, cn0_ref_dbhz=0.0,
+        klobuchar=KLOBUCHAR,
+    )  # fmt: skip
     return Ship(motion, sources, gnss, _spec(p), rate_hz)
 
 
@@ -120,23 +122,23 @@ def _places(motion: Motion, start_ned_m: FloatArray) -> Any:
     return place
 
 
-def ship_log(vessel: Ship, seed: int) -> VesselLog:
+def ship_log(vessel: Ship, seed: int, imu_hz: float = 100.0) -> VesselLog:
     """Return a log of the ship without faults."""
-    sky, rest = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2])
-    said = _sky(vessel, sky)
+    rest = np.random.default_rng([seed, 2])
     log = vessel_log(
-        vessel.motion, vessel.sources, rest, spec=vessel.spec, rate_hz=vessel.rate_hz, besides=said,
+        vessel.motion, vessel.sources, rest, spec=vessel.spec, imu_hz=imu_hz, rate_hz=vessel.rate_hz,
+        besides=_said(vessel, seed),
     )  # fmt: skip
     return replace(log, sources=vessel.all())
 
 
-def _sky(vessel: Ship, rng: np.random.Generator) -> dict[int, Observation]:
-    """Return what the receiver says of the satellites, by time, white noise of its own size."""
+def sky(vessel: Ship, seed: int) -> tuple[SignalTable, Navigation]:
+    """Return what the receiver tracks, white noise of its own size, and the ephemerides."""
     first, last = vessel.motion.span_ns
     t_ns = first + np.round(np.arange(0.0, (last - first) * 1e-9, 1.0 / vessel.rate_hz) * 1e9).astype(
         np.int64
     )
-    nav = nominal_navigation(first, last, "GE")
+    nav = nominal_navigation(first, last, SYSTEMS)
     noise = NoiseModel(
         code_white_m=vessel.gnss.sigma_m, code_multipath_m=0.0, code_bias_m=0.0, cn0_ref_dbhz=0.0,
         elevation_power=0.0,
@@ -147,7 +149,12 @@ def _sky(vessel: Ship, rng: np.random.Generator) -> dict[int, Observation]:
         return position[0], velocity[0]
 
     receiver = Receiver(noise, mask_rad=np.radians(MASK_DEG + 3.0))
-    epochs = epochs_of(simulate(nav, way, t_ns, receiver, rng).table, nav)
+    return simulate(nav, way, t_ns, receiver, np.random.default_rng([seed, 1])).table, nav
+
+
+def _said(vessel: Ship, seed: int) -> dict[int, Observation]:
+    """Return what the satellites that are always there say, by time."""
+    epochs = epochs_of(*sky(vessel, seed))
     found = {e.t_ns: merged(e, vessel.gnss.name) for e in epochs}
     always = set.intersection(*(set(o.keys) for o in found.values()))
     kept = sorted(k for k in always if ":R." in k)[:SATELLITES]

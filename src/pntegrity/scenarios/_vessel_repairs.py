@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.kernels.linear import cholesky, correct_covariance, gain, predict_covariance, whiten
-from pntegrity.kernels.recovery import Trial, w_test
+from pntegrity.kernels.recovery import ChangeTrial, Trial, w_test
 from pntegrity.kernels.sensor_window import expanded, sets_of
 from pntegrity.kernels.source_test import Gains
 from pntegrity.kernels.tails import chi2_threshold
@@ -24,10 +24,12 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 #: Epochs before the estimated onset from which on the buffer is run again.
 EARLIER = 4
-#: Standard deviations that an estimated bias must be allowed for a trial to be worth while.
-ROOM = 0.5
-#: With so many it is proved beyond doubt, and with fewer it must last at least so many epochs.
-ENOUGH, LONG = 2.5, 24
+#: Standard deviations that each estimated bias must be allowed: nine in ten healthy rows pass.
+ROOM = 1.645
+#: The longest trial, and the longest time before a change that is looked at, epochs.
+LONGEST = 40
+#: How likely a trial that proves a change must be to see it.
+LIKELY = 0.9
 
 
 def rows_of(study: Study, sensors: Sequence[str]) -> IntArray:
@@ -43,9 +45,11 @@ def rows_of(study: Study, sensors: Sequence[str]) -> IntArray:
     )
 
 
-def isolated_error(study: Study, faults: FloatArray, found: Detected, back_s: float) -> FloatArray:
-    """Return the position errors, shape (epochs, 3, runs), of runs that leave out what was named, from before
-    its onset on, as soon as it is named.
+def isolated_error(
+    study: Study, faults: FloatArray, found: Detected, back_s: float, again: bool = False
+) -> FloatArray:
+    """Return the position errors, shape (epochs, 3, runs), of runs that leave out what was isolated, from
+    before its onset on, as soon as it is.
 
     Parameters
     ----------
@@ -54,6 +58,8 @@ def isolated_error(study: Study, faults: FloatArray, found: Detected, back_s: fl
     found : Detected
     back_s : float
         When what was left out is back.
+    again : bool
+        Count the epochs before, too, as they are when run again.
     """
     full = study.full(faults)
     error = full.error[:, :3].copy()
@@ -75,7 +81,7 @@ def isolated_error(study: Study, faults: FloatArray, found: Detected, back_s: fl
             runs=np.array(runs, dtype=np.intp),
         )
         for i, run in enumerate(runs):
-            k = int(found.named[run])
+            k = first if again else int(found.named[run])
             error[k:, :, run] = one.error[k - first :, :3, i]
     return error
 
@@ -91,15 +97,21 @@ class Recovery:
     trial_s : ndarray
         By the windowed trial.
     window : int
-        Epochs of the trial.
+        Epochs of the trial (of its end, where it proves a change).
     readmission : float
         The largest probability with which a trial passes rows that are off by what it must prove.
+    change : bool
+        Whether no window is long enough to prove a bias, so that its end is what is proved.
+    shown : float
+        How many standard deviations such a bias (or its end) moves what is estimated, of the worst row.
     """
 
     passes_s: FloatArray
     trial_s: FloatArray
     window: int
     readmission: float
+    change: bool
+    shown: float
 
 
 def recovery(
@@ -126,8 +138,12 @@ def recovery(
         study.model, study.noise, faults, used, after=study.full(faults), first=first - 1, last=last
     )
     passes = _by_passes(study, without, rows, tested, last)
-    window, trial, readmission = _by_trials(study, faults, without, rows, (tested, last), size)
-    return Recovery(passes - span_s[0], trial - span_s[0], window, readmission)
+    window, change = _long_enough(study, without, rows, tested, size)
+    begin = tested if not change else max(tested, first + LONGEST // 4)
+    trial, trials = _by_trials(study, faults, without, rows, (begin + window, last), (size, window, change))
+    readmission = max(float(t.readmission.max()) for t in trials)
+    shown = min(float(t.shown.min()) for t in trials)
+    return Recovery(passes - span_s[0], trial - span_s[0], window, readmission, change, shown)
 
 
 def _by_passes(study: Study, without: Filtered, rows: IntArray, first: int, last: int) -> FloatArray:
@@ -144,16 +160,17 @@ def _by_passes(study: Study, without: Filtered, rows: IntArray, first: int, last
 
 def _by_trials(
     study: Study, faults: FloatArray, without: Filtered, rows: IntArray, span: tuple[int, int],
-    size: FloatArray,
-) -> tuple[int, FloatArray, float]:  # fmt: skip
-    window = _long_enough(study, without, rows, span[0], size)
-    out, worst = np.full(study.runs, np.inf), 0.0
+    kind: tuple[FloatArray, int, bool],
+) -> tuple[FloatArray, list[Trial | ChangeTrial]]:  # fmt: skip
+    """Return when a trial that ends at each epoch is first passed, and the trials."""
+    size, window, change = kind
+    out, trials = np.full(study.runs, np.inf), []
     everything = np.ones_like(faults, dtype=bool)
-    for k in range(span[0] + window, span[1]):
-        begin = k + 1 - window
-        found = window_gains(study, without.P[begin - 1 - without.first], begin, window)
-        trial = _trial(study, found, rows, size)
-        worst = max(worst, float(trial.readmission.max()))
+    for k in range(*span):
+        begin = max(k + 1 - window - (LONGEST if change else 0), without.first + 1)
+        found = window_gains(study, without.P[begin - 1 - without.first], begin, k + 1 - begin)
+        trial = _change(study, found, rows, (size, window)) if change else _trial(study, found, rows, size)
+        trials.append(trial)
         waiting = np.flatnonzero(np.isinf(out))
         if not len(waiting):
             break
@@ -162,22 +179,38 @@ def _by_trials(
         )
         white = np.concatenate([whiten(L, nu) for (_, _, L, _), nu in zip(found, run.nu, strict=True)])
         out[waiting[trial.passed(white)]] = study.t_s[k]
-    return window, out, worst
+    return out, trials
 
 
-def _long_enough(study: Study, without: Filtered, rows: IntArray, first: int, size: FloatArray) -> int:
-    """Return the length of the shortest trial that a healthy source passes more often than not."""
-    for window in range(4, 60, 2):
+def _long_enough(
+    study: Study, without: Filtered, rows: IntArray, first: int, size: FloatArray
+) -> tuple[int, bool]:
+    """Return the length of the shortest trial that nine in ten healthy rows pass, and whether it must prove a
+    change.
+
+    A state that follows a bias hides it in the end: where a window that is twice as long as a long one does
+    not show enough, none does.
+    """
+    for window in range(4, 2 * LONGEST + 1, 2):
         found = window_gains(study, without.P[first - without.first], first + 1, window)
-        limits = _trial(study, found, rows, size).limits
-        if (limits >= ENOUGH).all() or (window >= LONG and (limits >= ROOM).all()):
+        if (_trial(study, found, rows, size).limits >= ROOM).all():
+            return window, False
+    for window in range(4, LONGEST + 1, 2):
+        found = window_gains(study, without.P[0], without.first + 1, LONGEST + window)
+        if (_change(study, found, rows, (size, window)).power >= LIKELY).all():
             break
-    return window
+    return window, True
 
 
 def _trial(study: Study, found: list[Gains], rows: IntArray, size: FloatArray) -> Trial:
     p = study.facts["recovery"]
     return Trial(tuple(found), (rows,) * len(found), size, p["p_readmit"], p["p_fa"])
+
+
+def _change(study: Study, found: list[Gains], rows: IntArray, kind: tuple[FloatArray, int]) -> ChangeTrial:
+    p, (size, window) = study.facts["recovery"], kind
+    before = len(found) - window
+    return ChangeTrial(tuple(found), (rows,) * len(found), before, size, p["p_readmit"], p["p_fa"])
 
 
 def window_gains(study: Study, P: FloatArray, first: int, count: int) -> list[Gains]:

@@ -17,7 +17,7 @@ from pntegrity.kernels.bank import MaximumTest
 from pntegrity.kernels.linear import whiten
 from pntegrity.kernels.signatures import Signature, masks
 from pntegrity.monitors import _hypotheses
-from pntegrity.monitors._explanations import Explanation, explanations, faulty_sensors, minimal
+from pntegrity.monitors._explanations import Explanation, explanations, faulty_sensors, first_of_all, minimal
 from pntegrity.monitors._hypotheses import HypothesesMemory
 from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.monitors.source_separation import SourceSeparation
@@ -74,16 +74,20 @@ class Detected:
     Parameters
     ----------
     alarm_s, named_s : ndarray, shape (runs,)
-        Time of the first alarm and of the first epoch at which a set of sources is named, after the fault's
-        begin; inf: never. Negative ones are false.
+        Time of the first alarm and of the first epoch at which a set of sources is isolated, after the
+        fault's begin; inf: never. Isolated is who is named, or left out for the time being.
     sources, sensors : tuple of tuple of str
-        What was named, and which sensors of it.
+        What was isolated, and which sensors of it.
     ambiguous : ndarray of bool
         Whether the first alarm could not be told.
     onset : ndarray of int
         Epoch from which the fault is said to have been there.
     named : ndarray of int
         Epoch of `named_s`.
+    rivals : tuple of tuple of tuple of str
+        Who else may be at fault when somebody is isolated; none: it is named.
+    certain : tuple of tuple of str
+        What is named with certainty, perhaps later in the fault's time.
     """
 
     alarm_s: FloatArray
@@ -93,6 +97,8 @@ class Detected:
     ambiguous: BoolArray
     onset: IntArray
     named: IntArray
+    rivals: tuple[tuple[tuple[str, ...], ...], ...]
+    certain: tuple[tuple[str, ...], ...]
 
 
 class Study:
@@ -211,7 +217,7 @@ class Study:
         """Return the window that ends with an epoch."""
         if k not in self.evidence:
             self.evidence.clear()
-            self.evidence[k] = Evidence.of(self.updates[max(0, k + 1 - self.monitor.longest) : k + 1])
+            self.evidence[k] = Evidence.of(self.updates[max(0, k + 1 - self.monitor.kept) : k + 1])
         return self.evidence[k]
 
     def identified(self, k: int, white: FloatArray) -> list[tuple[Explanation, ...]]:
@@ -238,19 +244,29 @@ class Study:
         sources: list[tuple[str, ...]] = [()] * self.runs
         sensors: list[tuple[str, ...]] = [()] * self.runs
         ambiguous, onset = np.zeros(self.runs, dtype=bool), np.zeros(self.runs, dtype=np.intp)
+        rivals: list[tuple[tuple[str, ...], ...]] = [()] * self.runs
+        certain: list[tuple[str, ...]] = [()] * self.runs
         for k in np.flatnonzero((self.t_s >= from_s) & (self.t_s < to_s)):
-            open_ = np.flatnonzero(alarm[k] & np.isinf(named_s))
-            if not len(open_):
+            runs = np.flatnonzero(alarm[k] & [not sets for sets in certain])
+            if not len(runs):
                 continue
-            found = self.identified(int(k), white[:, :, open_])
-            for r, candidates in zip(open_, found, strict=True):
+            open_ = runs[np.isinf(named_s[runs])]
+            for r, candidates in zip(runs, self.identified(int(k), white[:, :, runs]), strict=True):
+                first = first_of_all(candidates)
                 if np.isinf(alarm_s[r]):
                     alarm_s[r], ambiguous[r] = self.t_s[k] - from_s, len(candidates) != 1
+                if first is not None and np.isinf(named_s[r]):
+                    named_s[r], sources[r] = self.t_s[k] - from_s, first.names
+                    rivals[r] = tuple(e.names for e in candidates[1:])
                 if len(candidates) == 1:
-                    named_s[r], sources[r] = self.t_s[k] - from_s, candidates[0].names
-            self._locate(int(k), white, open_, named_s, sources, sensors, onset, from_s)
+                    certain[r] = candidates[0].names
+            if len(open_):
+                self._locate(int(k), white, open_, named_s, sources, sensors, onset, from_s)
         named = np.searchsorted(self.t_s, np.where(np.isfinite(named_s), from_s + named_s, 0.0) - 1e-6)
-        return Detected(alarm_s, named_s, tuple(sources), tuple(sensors), ambiguous, onset, named)
+        return Detected(
+            alarm_s, named_s, tuple(sources), tuple(sensors), ambiguous, onset, named, tuple(rivals),
+            tuple(certain),
+        )  # fmt: skip
 
     def named_within(self, faults: FloatArray, from_s: float, within_s: float) -> list[list[tuple[str, ...]]]:
         """Return all sets of sources that are named in each run until some time after a fault's begin."""

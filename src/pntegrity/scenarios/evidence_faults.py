@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pntegrity.estimators._gnss import code_rows
 from pntegrity.estimators.spp import Spp
 from pntegrity.estimators.spp_kf import SppKf
 from pntegrity.evaluate.intervals import binomial_interval
@@ -26,6 +25,7 @@ from pntegrity.records import Epoch, FloatArray, State, Update, group_of
 from pntegrity.scenarios._real_logs import BRUX, Row, Site, monitors, row, skipped, without_groups
 from pntegrity.scenarios.evidence_real import P_FA, site_of
 from pntegrity.sensors.noise import NoiseModel
+from pntegrity.sensors.pseudoranges import code_rows
 from pntegrity.simulate.faults import Fault, apply_faults
 
 __all__ = ["faults", "greedy"]

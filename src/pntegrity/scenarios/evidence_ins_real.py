@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pntegrity.estimators._gnss import snapshot
 from pntegrity.formats.rinex_nav import read_navigation
 from pntegrity.formats.rinex_obs import read_observations
 from pntegrity.formats.truth import read_truth
@@ -30,6 +29,7 @@ from pntegrity.scenarios._ins_logs import (
     write_spec,
 )
 from pntegrity.scenarios._real_logs import WALK, Row, Site, rms, row, skipped
+from pntegrity.sensors.snapshot import snapshot
 
 __all__ = ["ins_real"]
 

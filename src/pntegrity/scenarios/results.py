@@ -241,6 +241,14 @@ them.""",
         from_module("evidence_acoustics", "acoustics"),
     ),
     Campaign(
+        "vessels",
+        "Real vessels with GNSS, ranges to beacons and a simulated IMU: faults through the whole chain",
+        """A Wave Glider (NCL1) and a ship (SAGA), real fixes and two-way travel times, each a TOML file
+(docs/examples); the IMU (STIM300, 100 Hz) is simulated on the receiver's own track, the truth. Sigmas
+were chosen on other parts of the logs. One fault a run, from 300 s to 600 s of 1,500 s.""",
+        from_module("evidence_vessels", "evidence"),
+    ),
+    Campaign(
         "multi-level",
         "Several sources beside an INS, simulated: which one, which sensor, when is it back",
         """The linear study of INS, GNSS, LBL and USBL, 200 s at 2 Hz, 200 runs of each case, with a seed on

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.interpolate import BSpline, PchipInterpolator, make_smoothing_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from pntegrity.formats.truth import Truth
@@ -16,7 +16,7 @@ from pntegrity.physics.frames import enu_rotations
 from pntegrity.records import FloatArray
 from pntegrity.simulate.trajectory import Trajectory
 
-__all__ = ["Moment", "Motion", "motion_of", "motion_of_drive"]
+__all__ = ["Moment", "Motion", "motion_of", "motion_of_drive", "motion_through"]
 
 #: What a motion keeps of a reference: frequencies below this, Hz, or below this part of its sampling rate.
 CUTOFF_HZ, CUTOFF_PART = 1.0, 0.4
@@ -26,6 +26,8 @@ SLOPE_HZ = 0.1
 COURSE_MPS, SLOPE_MPS, STILL_MPS = 1.0, 3.0, 0.1
 #: Knots of an attitude made from a course, and samples of a drive, per second.
 KNOTS_HZ = 5.0
+#: Attitudes that are closer in time than this are one: the first, s.
+APART_S = 0.05
 
 
 class Moment(NamedTuple):
@@ -166,6 +168,64 @@ def motion_of_drive(drive: Trajectory, start_ns: int, seconds: float) -> Motion:
     s = np.arange(round(seconds * KNOTS_HZ) + 1) / KNOTS_HZ
     position = np.array([drive(float(at))[0] for at in s])
     return motion_of(Truth(start_ns + np.round(s * 1e9).astype(np.int64), position))
+
+
+def motion_through(track: Truth, attitude: Truth) -> Motion:
+    """Return a smooth motion of positions and attitudes that are known at different times.
+
+    Positions are smoothed as in `motion_of`. Attitudes are passed where they are known (of two closer than
+    0.05 s the first), and between them roll, pitch and heading go from one to the next without overshoot
+    (monotone cubics): what a vessel did there nobody knows.
+
+    Parameters
+    ----------
+    track : Truth
+        Positions, at least 5.
+    attitude : Truth
+        Attitudes, at least 2; the motion lasts from the first to the last, as far as there are positions.
+
+    Raises
+    ------
+    ValueError
+        Fewer than that in the time that both have in common.
+    """
+    begin = max(int(track.t_ns[0]), int(attitude.t_ns[0]))
+    end = min(int(track.t_ns[-1]), int(attitude.t_ns[-1]))
+    t_ns, first = np.unique(track.t_ns, return_index=True)
+    turned, at = _apart(attitude, begin, end)
+    if len(t_ns) < 5 or len(at) < 2:
+        raise ValueError(
+            f"a motion needs 5 positions and 2 attitudes in their common time, not {len(t_ns)} and {len(at)}"
+        )
+    begin, end = int(turned[0]), int(turned[-1])
+    position = track.position_m[first]
+    origin = position[0].copy()
+    whole = _smooth(np.asarray((t_ns - begin) * 1e-9, dtype=np.float64), position - origin)
+    known = np.asarray((turned - begin) * 1e-9, dtype=np.float64)
+    knots, course = _knots(known), PchipInterpolator(known, np.unwrap(at, axis=0))
+    C = np.swapaxes(enu_rotations(origin + whole(knots)), 1, 2) @ from_angles(course(knots))
+    return Motion((begin, end), origin, whole, RotationSpline(knots, Rotation.from_matrix(C)))
+
+
+def _apart(attitude: Truth, begin: int, end: int) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    """Return times and attitudes that are known, from begin to end, no two too close to each other."""
+    if attitude.attitude_rad is None:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    known = np.isfinite(attitude.attitude_rad).all(axis=1)
+    rows, last = [], -(2**62)
+    for i in np.flatnonzero(known & (attitude.t_ns >= begin) & (attitude.t_ns <= end)).tolist():
+        if attitude.t_ns[i] - last >= round(APART_S * 1e9):
+            rows.append(i)
+            last = int(attitude.t_ns[i])
+    return attitude.t_ns[rows], attitude.attitude_rad[rows]
+
+
+def _knots(s: FloatArray) -> FloatArray:
+    """Return times, rising, with more between them where they are far apart."""
+    grid = np.arange(s[0], s[-1], 1.0 / KNOTS_HZ)
+    nearest = np.abs(s[np.searchsorted(s, grid).clip(1, len(s) - 1)] - grid)
+    before = np.abs(s[(np.searchsorted(s, grid) - 1).clip(0)] - grid)
+    return np.sort(np.append(s, grid[np.minimum(nearest, before) > APART_S]))
 
 
 def _smooth(s: FloatArray, values: FloatArray, cutoff_hz: float = CUTOFF_HZ) -> BSpline:
