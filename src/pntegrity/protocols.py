@@ -63,7 +63,7 @@ class Monitor(Protocol):
 
 @runtime_checkable
 class Carrying(Protocol):
-    """A monitor whose verdict costs more than its memory: where the past is run again only the last counts."""
+    """A monitor whose verdict costs more than its memory: of a past run again only the last one counts."""
 
     def carry(self, memory: Any, update: Update) -> Any:
         """Return the memory after `update`, as `Monitor.step` does."""

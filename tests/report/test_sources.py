@@ -11,7 +11,8 @@ import simulated_vehicle as vehicle
 from rich.console import Console
 
 from pntegrity.bounds.risk_tree import tree_of
-from pntegrity.report.columns import is_vehicle, member_of, members_in
+from pntegrity.records import Layout, Prior, State, Update
+from pntegrity.report.columns import is_vehicle, member_of, members_in, unit_of_row
 from pntegrity.report.figures import frame
 from pntegrity.report.html import page
 from pntegrity.report.inertial import outages
@@ -24,6 +25,7 @@ from pntegrity.report.story import absences, story
 from pntegrity.report.summary import headline, summary
 from pntegrity.report.tables import exclusions, solution
 from pntegrity.report.terminal import verdict_table
+from pntegrity.report.units import measured
 from pntegrity.report.write import write_results
 
 
@@ -170,13 +172,13 @@ def test_the_tree_is_that_of_who_is_used(run, facts):
     assert risk_numbers(run, vehicle.facts(protection={})) is None
 
 
-def test_the_story_counts_sources_and_knows_no_unit(run, facts):
+def test_the_story_counts_sources_and_tells_sizes_in_their_unit(run, facts):
     said = [s.text for s in story(run, facts)]
     beacon = next(t for t in said if "AP1 excluded" in t)
     nav = next(t for t in said if "nav excluded" in t)
     assert "(WINDOW: bias)" in beacon
     assert beacon.endswith("readmitted.")
-    assert "bias 0.012 in the unit of its row since" in nav
+    assert "bias 1.2 cm since" in nav
     assert "filter run again over the last 3 epochs" in nav
     assert "2 sources left with 5 sensors; still excluded" in nav
     assert not any("satellite" in t or " m " in t for t in (beacon, nav))
@@ -308,3 +310,23 @@ def test_an_alert_of_the_level_alone_is_called_that(run, facts):
     assert (title, tone) == ("Do not trust 1 of 10 epochs", "alert")
     assert detail.startswith("The protection level is above its alert limit there.")
     assert summary(run, facts)["limit_alerts"] == 0
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "per", "told"),
+    [
+        (0.012, "m", "", "1.2 cm"), (9.8e-4, "s", "/s", "0.98 ms/s"), (-0.02, "rad", "", "-1.15°"),
+        (0.5, "", "/s", "0.5 a second in the unit of its row"),
+    ],
+)  # fmt: skip
+def test_sizes_are_told_in_words_of_their_unit(size, unit, per, told):
+    assert measured(size, unit, per) == told
+
+
+def test_units_are_known_by_what_a_metre_does():
+    prior = Prior(
+        State(10, np.zeros(3), np.eye(3), Layout(("pos:x", "pos:y", "pos:z"))), np.eye(3), np.eye(3)
+    )
+    H = np.array([[1.0, 0.0, 0.0], [6.7e-4, 0.0, 0.0], [3e-3, 0.0, 0.0]])
+    update = Update.of(prior, ("a:R.1", "a:R.2", "a:A.3"), np.zeros(3), H, np.eye(3))
+    assert [unit_of_row(update, i) for i in range(3)] == ["m", "s", "rad"]

@@ -13,18 +13,32 @@ import polars as pl
 from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
-from pntegrity.records import group_of
+from pntegrity.records import Update, group_of
 from pntegrity.states import is_satellite, sensor_of
 
 __all__ = [
     "HELD", "column", "family_counts", "groups_in", "is_part_of", "is_vehicle",
-    "member_of", "members_in", "names_in", "or_inf", "stamps",
+    "member_of", "members_in", "names_in", "or_inf", "stamps", "unit_of_row",
 ]  # fmt: skip
 
 HELD = 2.5
 """Who measures less often than the epochs come is there for so many of its usual intervals."""
 KINDS = ("R", "A")
 """How the rows of a source begin that are no rates: ranges and levels, angles."""
+
+
+#: A metre changes a row by less than this where it is a time of travel of sound, s/m.
+SLOW_SPM = 0.01
+
+
+def unit_of_row(update: Update, row: int) -> str:
+    """Return the unit of a row of a source: ``"rad"``, ``"s"`` (a metre changes it little), or ``"m"``."""
+    kind = update.keys[row].partition(":")[2][:1]
+    if kind == "A":
+        return "rad"
+    block = "vel" if kind == "D" else "pos"
+    slope = np.linalg.norm(update.H[row, update.prior.layout.block(block)])
+    return "s" if 0.0 < slope < SLOW_SPM else "m"
 
 
 @lru_cache(maxsize=4096)

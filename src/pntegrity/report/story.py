@@ -16,7 +16,7 @@ from pntegrity.exclusion import SEPARATION, Exclusion
 from pntegrity.physics.time import DAY_NS
 from pntegrity.pipeline import Outcome
 from pntegrity.records import Status
-from pntegrity.report.columns import groups_in, is_vehicle, members_in, names_in
+from pntegrity.report.columns import groups_in, is_vehicle, members_in, names_in, unit_of_row
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.inertial import FIX
 from pntegrity.report.inertial_story import bridged, screened
@@ -24,14 +24,16 @@ from pntegrity.report.levels import has_bounds, only_beyond
 from pntegrity.report.protection import Protected, protected
 from pntegrity.report.sentences import OFTEN, Sentence, clock_time, names, span_text
 from pntegrity.report.tables import solution
-from pntegrity.report.units import length, level_text
-from pntegrity.states import is_satellite
+from pntegrity.report.units import length, level_text, measured
+from pntegrity.states import is_left_out, is_satellite
 
 __all__ = ["Absence", "absences", "cause_text", "story"]
 
 
 MANY = 10
 """The same sentence about more stretches than this is told once for all of them."""
+#: So many epochs back the rows of who is left out are looked for.
+LOOK_BACK = 100
 NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
@@ -48,12 +50,13 @@ class Absence:
     start: int
     stop: int
     back: bool
-    unitless: bool = False
+    vehicle: bool = False
+    unit: str = "m"
 
     @property
     def cause(self) -> str:
         """Which test excluded it, and the fault."""
-        return cause_text(self.exclusion, self.unitless)
+        return cause_text(self.exclusion, self.unit)
 
 
 def story(
@@ -81,20 +84,16 @@ def story(
     return (*found, *screened(outcomes, date), *kept, *_end(outcomes, facts, date))
 
 
-def cause_text(e: Exclusion, unitless: bool = False) -> str:
-    """Return which test excluded a group, and the fault: ``GLR: ramp 0.20 m/s``; `unitless`: in units of its
-    rows, whatever these are. A size of 0 is not known.
+def cause_text(e: Exclusion, unit: str = "m") -> str:
+    """Return which test excluded a group, and the fault: ``GLR: ramp 0.20 m/s``; `unit`: that of its rows. A
+    size of 0 is not known.
     """
     test = "epoch test" if e.monitor == "subset" else e.monitor.upper()
     if not e.size:
         return f"{test}: {e.kind}"
-    if unitless and e.kind != SEPARATION:
-        return (
-            f"{test}: {e.kind} {e.size:.3g}{' a second' if e.kind == 'ramp' else ''} in the unit of its row"
-        )
     if e.kind == SEPARATION:
         return f"{test}: {'bias' if e.monitor == 'subset' else 'positions apart by'} {length(e.size)}"
-    return f"{test}: {e.kind} {length(e.size, '/s' if e.kind == 'ramp' else '')}"
+    return f"{test}: {e.kind} {measured(e.size, unit, '/s' if e.kind == 'ramp' else '')}"
 
 
 def absences(outcomes: Sequence[Outcome]) -> list[Absence]:
@@ -104,7 +103,8 @@ def absences(outcomes: Sequence[Outcome]) -> list[Absence]:
     vehicle = is_vehicle(outcomes)
 
     def gone(group: str, stop: int, back: bool) -> Absence:
-        return Absence(group, *standing.pop(group), stop, back, vehicle)
+        e, i = standing.pop(group)
+        return Absence(group, e, i, stop, back, vehicle, _unit(group, outcomes[: i + 1]) if vehicle else "m")
 
     for i, o in enumerate(outcomes):
         used = names_in(o.update.keys) if standing else frozenset()
@@ -116,6 +116,18 @@ def absences(outcomes: Sequence[Outcome]) -> list[Absence]:
                 out.append(gone(group, i + 1, True))
     out += [gone(group, len(outcomes), False) for group in list(standing)]
     return sorted(out, key=lambda a: (a.start, a.stop, a.group))
+
+
+def _unit(name: str, outcomes: Sequence[Outcome]) -> str:
+    """Return the unit of who was left out, from the last epochs that used it; ``""``: several or unknown."""
+    out = frozenset([name])
+    for o in outcomes[: -LOOK_BACK - 1 : -1]:
+        for update in o.updates[::-1]:
+            rows = [i for i, k in enumerate(update.keys) if is_left_out(k, out)]
+            units = {unit_of_row(update, i) for i in rows}
+            if units:
+                return units.pop() if len(units) == 1 else ""
+    return ""
 
 
 # --- the kinds of sentences -------------------------------------------------------------------------------
@@ -186,7 +198,7 @@ def _absent(together: list[Absence], outcomes: Sequence[Outcome], date: bool) ->
     who = names([f"{g} ({cause})" for g, cause in grouped]) + " excluded"
     if len(grouped) == 1:
         who = f"{grouped[0][0]} excluded ({grouped[0][1]})"
-    text = f"{span_text(o.t_ns, last, date)}: {who}; {_effect(o, a.unitless)}"
+    text = f"{span_text(o.t_ns, last, date)}: {who}; {_effect(o, a.vehicle)}"
     if any(x.exclusion.ambiguous for x in together):
         text += (
             f"; {o.reason}"

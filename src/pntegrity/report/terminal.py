@@ -56,12 +56,12 @@ def _monitors(numbers: Mapping[str, Any]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("monitor", min_width=max(len(m["monitor"]) for m in numbers["monitors"]))
     for name, justify in (("variant", "left"), ("P_FA", "right"), ("tests", "right")):
         table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    for name in ("alarms, first look", "after exclusion", "worst ratio"):
-        table.add_column(name, justify="right")
+    for name in ("alarms,\nfirst look", "after\nexclusion", "worst\nratio"):
+        table.add_column(name, justify="right", no_wrap=True)
     for m in numbers["monitors"]:
         first, last = m["first"], m["final"]
         worst = "-" if last["worst_ratio"] is None else f"{last['worst_ratio']:.3g}"

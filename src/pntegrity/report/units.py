@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["degrees", "duration", "length", "level_text", "percent", "rounded", "together", "unit"]
+__all__ = [
+    "degrees",
+    "duration",
+    "length",
+    "level_text",
+    "measured",
+    "percent",
+    "rounded",
+    "together",
+    "unit",
+]
 
 
 def unit(largest_m: float) -> tuple[float, str]:
@@ -17,6 +27,18 @@ def length(value_m: float, per: str = "") -> str:
     """Return ``39.9 m``, ``1.2 cm`` or ``0.67 mm``; `per` follows the unit (``"/s"``)."""
     factor, name = unit(value_m)
     return f"{rounded(value_m * factor, name)} {name}{per}"
+
+
+def measured(value: float, unit_name: str, per: str = "") -> str:
+    """Return a size in the unit of a row, ``"m"``, ``"s"`` (told in ms) or ``"rad"`` (in degrees); `per`
+    follows it.
+    """
+    if unit_name == "m":
+        return length(value, per)
+    if not unit_name:
+        return f"{value:.3g}{' a second' if per else ''} in the unit of its row"
+    factor, name = {"s": (1e3, " ms"), "rad": (180.0 / math.pi, "°")}[unit_name]
+    return f"{value * factor:.3g}{name}{per}"
 
 
 def level_text(value_m: float | None) -> str:
