@@ -9,11 +9,12 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide
-from pntegrity.protocols import Estimator, Monitor, Switching, carried, memory_for
+from pntegrity.outcomes import Attempt, Checkpoint, Outcome, Reviewed
+from pntegrity.protocols import Estimator, Monitor, Switching, carried, memory_for, resumes
 from pntegrity.proving import Past, Proof, is_due, prove
 from pntegrity.readmission import distrusting, left_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
@@ -23,84 +24,6 @@ from pntegrity.states import is_left_out
 FAR_M = 1000.0
 
 __all__ = ["Checkpoint", "Outcome", "Pipeline", "uncollected"]
-
-
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """All that a pipeline remembers; `reacquired_ns`: when a group came back that had not proved itself."""
-
-    state: State = field(default_factory=State.empty)
-    memories: tuple[Any, ...] = ()
-    history: tuple[Past, ...] = ()
-    standing: Mapping[str, Standing] = field(default_factory=dict)
-    counts: Mapping[str, int] = field(default_factory=dict)
-    alert_since_ns: int | None = None
-    reacquired_ns: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What happened at one epoch.
-
-    Parameters
-    ----------
-    status : str
-        ``alert`` where a monitor still alarms after exclusion, or a protection level is above its alert limit
-        (`Verdict.beyond`: nobody is at fault then, and nobody is left out); ``unavailable`` where none could
-        test, else ``ok``.
-    updates : tuple of Update
-        What was committed: the epoch's update, after those of the past that a repair made anew.
-    rewound : int
-        How many earlier updates the first `len(updates) - 1` replace.
-    verdicts, first : tuple of Verdict
-        After the last exclusion, and before any (the same where nothing was excluded).
-    exclusions : tuple of Exclusion
-    readmitted : tuple of str
-    reason : str
-    proofs : tuple of Proof
-        Tests of those who are left out.
-    """
-
-    t_ns: int
-    status: Status
-    updates: tuple[Update, ...]
-    rewound: int
-    verdicts: tuple[Verdict, ...]
-    first: tuple[Verdict, ...]
-    exclusions: tuple[Exclusion, ...] = ()
-    readmitted: tuple[str, ...] = ()
-    reason: str = ""
-    proofs: tuple[Proof, ...] = ()
-
-    @property
-    def update(self) -> Update:
-        """The update of this epoch."""
-        return self.updates[-1]
-
-
-@dataclass(frozen=True, eq=False)
-class _Attempt:
-    """One way through the epoch: everything that would be committed."""
-
-    updates: tuple[Update, ...]
-    rewound: int
-    verdicts: tuple[Verdict, ...]
-    memories: tuple[Any, ...]
-    history: tuple[Past, ...]
-
-    @property
-    def excluded(self) -> frozenset[str]:
-        """Who is left out of this epoch."""
-        return self.history[-1].excluded
-
-
-@dataclass(frozen=True, eq=False)
-class _Reviewed:
-    """Who stays out after an epoch, what tests showed, and whether anybody was re-acquired."""
-
-    standing: Mapping[str, Standing]
-    proofs: tuple[Proof, ...]
-    reacquired: bool
 
 
 class Pipeline:
@@ -149,8 +72,8 @@ class Pipeline:
         return replace(outcome, readmitted=released + outcome.readmitted)
 
     def _resolve(
-        self, now: Checkpoint, epoch: Epoch, attempt: _Attempt, made: tuple[Exclusion, ...] = ()
-    ) -> tuple[_Attempt, tuple[Exclusion, ...], str]:
+        self, now: Checkpoint, epoch: Epoch, attempt: Attempt, made: tuple[Exclusion, ...] = ()
+    ) -> tuple[Attempt, tuple[Exclusion, ...], str]:
         """Exclude until no monitor alarms, nothing more can be left out, or the limit is reached."""
         reasons: list[str] = []
         relaxed, policy = _is_reacquired(now), distrusting(self.policy, now.reacquired_ns, epoch.t_ns)
@@ -183,8 +106,8 @@ class Pipeline:
         return attempt, made, join_reasons(reasons)
 
     def _without_needless(
-        self, now: Checkpoint, epoch: Epoch, attempt: _Attempt, made: tuple[Exclusion, ...]
-    ) -> tuple[_Attempt, tuple[Exclusion, ...]]:
+        self, now: Checkpoint, epoch: Epoch, attempt: Attempt, made: tuple[Exclusion, ...]
+    ) -> tuple[Attempt, tuple[Exclusion, ...]]:
         """Take back exclusions of a start that were made beside a fix which a blunder had moved far off."""
         for e in made:
             fewer = tuple(other for other in made if other.group != e.group)
@@ -220,11 +143,12 @@ class Pipeline:
     def _attempt(
         self, now: Checkpoint, epoch: Epoch, since: Mapping[str, int], relaxed: bool = False,
         switch: frozenset[str] = frozenset(), from_ns: int | None = None,
-    ) -> _Attempt:  # fmt: skip
+    ) -> Attempt:  # fmt: skip
         """Run the epoch without the groups in `since`, again from before the earliest onset where that is in
         the past, or from `from_ns` on.
 
-        The monitors begin anew at such a point: what they remembered was made with the faults in it.
+        The monitors begin anew at such a point: what they remembered was made with the faults in it. Those
+        that resume go on from what they remembered there.
         `relaxed` lets go of what the dynamics say of the epoch itself. With `switch` the filter goes on from
         the subfilter that never knew these groups, and nothing before can be repaired any more.
         """
@@ -234,7 +158,7 @@ class Pipeline:
         start = next((i for i, p in enumerate(now.history) if p.epoch.t_ns >= first_ns), len(now.history))
         again = now.history[start:]
         state = again[0].before if again else now.state
-        memories: tuple[Any, ...] = tuple(m.start() for m in self.monitors) if again else now.memories
+        memories = self._memories_at(again[0]) if again else now.memories
         updates, history = [], [] if switch else list(now.history[:start])
         verdicts: tuple[Verdict, ...] = ()
         past = [(p.epoch, p.excluded, p.relaxed) for p in again]
@@ -245,14 +169,15 @@ class Pipeline:
             update = self.estimator.correct(self.estimator.relax(prior) if free else prior, e, out)
             if switch and e is epoch and not again:
                 update = update.altered(switched=tuple(sorted(switch)))
+            kept = self._kept(memories)
             if e is epoch:
                 verdicts, memories = self._judge(memories, update)
             else:
                 memories = self._carried(memories, update)
-            history.append(Past(state, e, out, free))
+            history.append(Past(state, e, out, free, kept))
             updates.append(update)
             state = update.posterior
-        return _Attempt(tuple(updates), len(again), verdicts, memories, tuple(history))
+        return Attempt(tuple(updates), len(again), verdicts, memories, tuple(history))
 
     def _without(self, now: Checkpoint, state: State, groups: frozenset[str]) -> State:
         """Return the last belief of the filter that never knew some groups."""
@@ -261,6 +186,18 @@ class Pipeline:
                 if isinstance(monitor, Switching):
                     return monitor.subfilter(memory, state, groups)
         return state
+
+    def _kept(self, memories: Sequence[Any]) -> tuple[Any, ...]:
+        """Return the memories that a repair goes on from."""
+        if not self.policy.exclude or not any(map(resumes, self.monitors)):
+            return ()
+        pairs = zip(self.monitors, memories, strict=True)
+        return tuple(memory if resumes(m) else None for m, memory in pairs)
+
+    def _memories_at(self, past: Past) -> tuple[Any, ...]:
+        """Return the memories with which the past is run again: most monitors begin anew."""
+        kept = past.memories or (None,) * len(self.monitors)
+        return tuple(m.start() if k is None else k for m, k in zip(self.monitors, kept, strict=True))
 
     def _carried(self, memories: Sequence[Any], update: Update) -> tuple[Any, ...]:
         return tuple(carried(m, memory, update) for m, memory in zip(self.monitors, memories, strict=True))
@@ -273,7 +210,7 @@ class Pipeline:
         return tuple(v for v, _ in pairs), tuple(memory for _, memory in pairs)
 
     def _commit(
-        self, now: Checkpoint, epoch: Epoch, first: _Attempt, last: _Attempt, made: tuple[Exclusion, ...],
+        self, now: Checkpoint, epoch: Epoch, first: Attempt, last: Attempt, made: tuple[Exclusion, ...],
         reason: str,
     ) -> tuple[Outcome, Checkpoint]:  # fmt: skip
         counts, standing = _with_new(now, made, epoch.t_ns)
@@ -302,8 +239,8 @@ class Pipeline:
         return outcome, checkpoint
 
     def _reviewed(
-        self, now: Checkpoint, epoch: Epoch, last: _Attempt, standing: dict[str, Standing]
-    ) -> _Reviewed:
+        self, now: Checkpoint, epoch: Epoch, last: Attempt, standing: dict[str, Standing]
+    ) -> Reviewed:
         """Return who stays out after the epoch, what tests of them showed, and who is re-acquired."""
         history, update = last.history[-self.policy.history :], last.updates[-1]
 
@@ -313,7 +250,7 @@ class Pipeline:
         present, step_s = _present(epoch, standing), _step_s(now, epoch.t_ns)
         after, proofs = review(standing, update, present, self.policy, step_s, trial)
         back = reacquired(after, update, self.policy, history)
-        return _Reviewed({g: s for g, s in after.items() if g not in back}, proofs, bool(back))
+        return Reviewed({g: s for g, s in after.items() if g not in back}, proofs, bool(back))
 
 
 def _with_new(
@@ -328,7 +265,7 @@ def _with_new(
     return counts, standing
 
 
-def _told(standing: Mapping[str, Standing], last: _Attempt, alert: bool, reason: str) -> tuple[Status, str]:
+def _told(standing: Mapping[str, Standing], last: Attempt, alert: bool, reason: str) -> tuple[Status, str]:
     """Return the status of an epoch and why it is that."""
     update, beyond = last.updates[-1], [v.beyond for v in last.verdicts]
     doubt = [g for g, s in standing.items() if s.doubtful]

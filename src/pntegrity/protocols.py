@@ -8,7 +8,7 @@ from pntegrity.records import Epoch, Prior, State, Update, Verdict
 
 Memory = TypeVar("Memory")
 
-__all__ = ["Carrying", "Estimator", "Monitor", "Switching", "carried", "memory_for"]
+__all__ = ["Carrying", "Estimator", "Monitor", "Switching", "carried", "memory_for", "resumes"]
 
 
 @runtime_checkable
@@ -86,6 +86,13 @@ class Switching(Protocol):
         groups : frozenset of str
         """
         ...
+
+
+def resumes(monitor: Monitor) -> bool:
+    """Tell whether a monitor goes on, where the past is run again, from what it remembered there: it has an
+    attribute ``resumes`` that says so. Others begin anew.
+    """
+    return bool(getattr(monitor, "resumes", False))
 
 
 def carried(monitor: Monitor, memory: Any, update: Update) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,13 +35,14 @@ LONGER = 1.5
 @dataclass(frozen=True, eq=False)
 class Past:
     """What a repair or a trial needs of one epoch: the state before it, the epoch, who was left out, whether
-    its prior was relaxed.
+    its prior was relaxed, and the memories before it of monitors that resume (None: of others).
     """
 
     before: State
     epoch: Epoch
     excluded: frozenset[str]
     relaxed: bool = False
+    memories: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)

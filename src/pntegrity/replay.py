@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,14 @@ from pntegrity.errors import InputError
 from pntegrity.formats.atomic import atomically
 from pntegrity.formats.update_record import read_record
 from pntegrity.monitors import discover
-from pntegrity.protocols import Monitor, memory_for
+from pntegrity.protocols import Monitor, memory_for, resumes
 from pntegrity.records import Update, Verdict
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+#: Updates before which memories are kept: as many as any pipeline goes back.
+REMEMBERED = 400
 
 __all__ = ["monitored", "named_monitors", "replay", "replay_table", "write_verdicts"]
 
@@ -54,19 +58,29 @@ def named_monitors(
 def monitored(
     entries: Iterable[tuple[Update, int]], monitors: Sequence[Monitor]
 ) -> Iterable[tuple[Update, list[Verdict]]]:
-    """Yield every committed update with its verdicts; where a repair replaced the past, memories begin anew
-    as they did.
+    """Yield every committed update with its verdicts; where a repair replaced the past, memories begin anew,
+    or go on from there, as they did.
     """
     memories: list[Any] = [m.start() for m in monitors]
+    before: deque[list[Any]] = deque(maxlen=REMEMBERED if any(map(resumes, monitors)) else 0)
     for update, rewound in entries:
         if rewound:
-            memories = [m.start() for m in monitors]
+            memories = _rewound(monitors, before, rewound)
+        before.append(memories)
         steps = [
             m.step(memory_for(m, memory, update), update)
             for m, memory in zip(monitors, memories, strict=True)
         ]
         memories = [memory for _, memory in steps]
         yield update, [verdict for verdict, _ in steps]
+
+
+def _rewound(monitors: Sequence[Monitor], before: deque[list[Any]], rewound: int) -> list[Any]:
+    """Return the memories at the first of the updates that a repair replaced, and forget these."""
+    there = before[-rewound] if rewound <= len(before) else None
+    for _ in range(min(rewound, len(before))):
+        before.pop()
+    return [there[i] if there is not None and resumes(m) else m.start() for i, m in enumerate(monitors)]
 
 
 def replay(

@@ -8,12 +8,15 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from pntegrity.bounds.ism import Ism
 from pntegrity.config import make_monitor
 from pntegrity.exclusion import Policy, decide
 from pntegrity.kernels.source_test import left_out
+from pntegrity.monitors.separation import Separation
 from pntegrity.pipeline import Pipeline
 from pntegrity.proving import is_due
 from pntegrity.records import Layout, Prior, State, Suspect, Update, Verdict
+from pntegrity.replay import monitored
 from pntegrity.scenarios._vessel_logs import estimator, ship, ship_log
 from pntegrity.simulate.vessel_log import with_faults
 from pntegrity.states import group_of, is_left_out, sensor_of
@@ -170,6 +173,25 @@ def test_a_better_explanation_takes_the_place_of_one_in_doubt():
     swapped = next(o for o in outcomes if second(o.t_ns) == made[1][0])
     assert swapped.update.excluded == ("lbl",)
     assert swapped.rewound > 0
+
+
+def test_levels_go_on_over_a_repair_and_the_record_gives_the_same_verdicts():
+    made = log(("lbl:R.AP1", 0.0, 8e-4, BEGIN, END))
+    model = estimator(made, ship(SECONDS, 1.0).spec)
+    bank = Separation(1e-6, ism=Ism(p_other=1e-4), pairs=False, levels="observed")
+    monitors = [make_monitor("source_separation", 1e-6), bank]
+    driver = Pipeline(model, monitors, Policy(**model.policy))
+    outcomes = [driver.push(e) for e in made.epochs]
+    repaired = next(i for i, o in enumerate(outcomes) if o.rewound)
+    bounds = [o.verdicts[1].bound for o in outcomes[repaired - 1 : repaired + 1]]
+    assert bounds[1].since_ns == bounds[0].since_ns
+    assert bounds[1].hpl_m > 0.9 * bounds[0].hpl_m
+    entries = [(u, o.rewound if i == 0 else 0) for o in outcomes for i, u in enumerate(o.updates)]
+    again = {update.t_ns: verdicts for update, verdicts in monitored(entries, monitors)}
+    replaced = {u.t_ns for o in outcomes for u in o.updates[:-1]}
+    assert replaced
+    for o in (o for o in outcomes if o.t_ns not in replaced):
+        assert again[o.t_ns][1].bound == o.verdicts[1].bound
 
 
 # --- the decision -------------------------------------------------------------------------------------------

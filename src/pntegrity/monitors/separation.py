@@ -170,6 +170,13 @@ class Separation:
         if self.levels not in ("tested", "observed"):
             raise ValueError(f"`levels` must be 'tested' or 'observed', not {self.levels!r}")
 
+    @property
+    def resumes(self) -> bool:
+        """Whether the bank goes on from before a fault where the past is run again: levels that need no alert
+        then go on for faults since the same beginning.
+        """
+        return self.levels == "observed"
+
     def start(self) -> SeparationMemory:
         """Return the memory of a bank that has not begun."""
         return SeparationMemory()
