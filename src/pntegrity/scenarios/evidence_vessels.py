@@ -24,6 +24,9 @@ LENGTH_S, ONSET_S, END_S = 1500.0, 300.0, 600.0
 BIAS, DRIFT = "bias 5 ms", "ramp 0.05 m/s"
 #: How a receiver drifts, in turn.
 TOWARDS = ("north", "east", "up", "south", "west", "down")
+SIDES = tuple(way for way in TOWARDS if way not in ("up", "down"))
+#: How long a drift at another time is looked at, s.
+SHORT_S = 120.0
 #: Settling of the filter, which no figure counts, s.
 SETTLED_S = 100.0
 
@@ -104,7 +107,11 @@ def evidence(data: Path) -> list[Row]:
     if lost:
         return skipped(CAMPAIGN, lost)
     with threadpool_limits(1, user_api="blas"):
-        return [r for name in vessels() for r in (*_clean(name, data), *_faulty(name, data))]
+        return [
+            r
+            for name in vessels()
+            for r in (*_clean(name, data), *_faulty(name, data), *_elsewhere(name, data))
+        ]
 
 
 def _clean(name: str, data: Path) -> list[Row]:
@@ -137,13 +144,33 @@ def _faulty(name: str, data: Path) -> list[Row]:
     ready = [vessel(name, data, (a, min(a + LENGTH_S, b))) for a, b in vessels()[name]["spans"]]
     found = cases(ready)
     biases, drifts = ([c for c in found if (c.source == "lbl") == is_lbl] for is_lbl in (True, False))
-    level = [c for c in drifts if _way(c) not in ("up", "down")]
+    level = [c for c in drifts if _way(c) in SIDES]
     upright = [c for c in drifts if c not in level]
     return [
         *_rows(name, f"{BIAS} of each beacon", biases),
         *_rows(name, "GNSS drift of 0.05 m/s up or down", upright),
         *_rows(name, "GNSS drift of 0.05 m/s to a side", level),
     ]
+
+
+def _elsewhere(name: str, data: Path) -> list[Row]:
+    """Return who is left out first where a receiver drifts to a side, at other times than those looked at."""
+    begins = vessels()[name]["others"]
+    ready = [vessel(name, data, (a, a + ONSET_S + SHORT_S)) for a in begins]
+    first = [
+        next((n for _, n in one.ride([f"gnss:{way} {DRIFT} {ONSET_S:g}:"]).left), "nobody")
+        for one in ready
+        for way in SIDES
+    ]
+    n, right, nobody = len(first), first.count("gnss"), first.count("nobody")
+    wrong = n - right - nobody
+    return [
+        row(CAMPAIGN, f"{name}: GNSS drift to a side at other times: runs with a healthy source left out",
+            "at most 2 %", f"{wrong} of {n}", wrong <= 0.02 * n, interval=binomial_interval(wrong, n),
+            note=f"GNSS {right}, nobody {nobody} within {SHORT_S:g} s; onsets {ONSET_S:g} s after "
+            f"{', '.join(f'{a:g}' for a in begins)} s, four directions; errors of real ranges last, "
+            "the filter has them white"),
+    ]  # fmt: skip
 
 
 def _way(case: Case) -> str:
