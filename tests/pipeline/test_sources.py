@@ -300,3 +300,20 @@ def test_who_is_gone_is_forgotten(proof):
             assert outcome.update.excluded == ()
             assert "lbl.AP1" in driver.checkpoint.standing
     assert not driver.checkpoint.standing
+
+
+def test_a_correction_puts_the_whole_track_right():
+    made = log()
+    model = estimator(made, ship(SECONDS, 1.0).spec)
+    driver = Pipeline(model, [], Policy(**model.policy))
+    for e in made.epochs[:20]:
+        update = driver.push(e).update
+    before, after = update.prior.aside.track, update.posterior.aside.track
+    step = update.posterior.mean - update.prior.mean
+    age_s = (update.t_ns - after.t_ns) * 1e-9
+    np.testing.assert_allclose(
+        after.position_m - before.position_m, step[:3] - age_s[:, None] * step[3:6], atol=1e-7
+    )
+    turned = after.C @ np.swapaxes(before.C, 1, 2)
+    np.testing.assert_allclose(turned, np.broadcast_to(turned[-1], turned.shape), atol=1e-12)
+    assert len(after.t_ns) > 10

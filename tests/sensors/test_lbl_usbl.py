@@ -52,7 +52,7 @@ def pose_at(move=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0), dv=(0.0, 0.0, 0.0), dbg=
     s = (t - T)[:, None] / SECOND
     C = AXES.T @ from_angles([0.1, -0.05, 0.7]) @ rotation(s * RATE)
     tilt = rotation(turn)
-    track = Track(t, PLACE + move + s * VELOCITY, tilt @ C)
+    track = Track(t, PLACE + move + s * (VELOCITY + np.asarray(dv)), tilt @ C)
     return Pose(T, track.position_m[-1], VELOCITY + np.asarray(dv), track.C[-1], RATE - np.asarray(dbg),
                 track, nuisance)  # fmt: skip
 
@@ -96,7 +96,7 @@ def test_lbl_jacobians(water, two_way):
     assert lbl.nuisances() == (Nuisance("lbl.sound_speed", 1e-3, 0.0),)
     aux = {"t0_ns": np.full(3, T - 2 * SECOND)}
     found = check_jacobians(
-        lbl, observed(lbl, LBL_KEYS, **aux), {"pos": 1e-8, "att": 1e-6, "lbl.sound_speed": 1e-6}
+        lbl, observed(lbl, LBL_KEYS, **aux), {"pos": 1e-8, "vel": 1e-8, "att": 1e-6, "lbl.sound_speed": 1e-6}
     )
     assert found.H["pos"].shape == found.H["att"].shape == (3, 3)
     assert np.linalg.norm(found.H["pos"][0]) == pytest.approx((1 + two_way) / 1490.0, rel=0.02)
@@ -194,7 +194,7 @@ def test_usbl_jacobians(water, two_way):
     assert isinstance(usbl, Source)
     aux = {"t0_ns": np.full(4, T - SECOND)}
     o = observed(usbl, USBL_KEYS, y=np.array([400.0, 0.3, 1.0, -0.5]), **aux)
-    found = check_jacobians(usbl, o, {"pos": 2e-6, "att": 1e-4})
+    found = check_jacobians(usbl, o, {"pos": 2e-6, "vel": 1e-8, "att": 1e-4})
     angle = np.radians(0.4)
     np.testing.assert_allclose(np.diagonal(found.R), [1.0, 1e-8, angle**2, angle**2])
     # 1 degree of heading moves the bearing by about that

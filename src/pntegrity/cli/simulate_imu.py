@@ -80,13 +80,15 @@ def command(
         f"{len(made.increments.t_ns)} increments; a run may go from {to_iso(begin)} to {to_iso(stop)}: "
         f'start = "{since[0]:.0f}", end = "{since[1]:.0f}"'
     )
-    click.echo(f"heading at its start: heading_deg = {np.degrees(made.heading_rad(begin)):.1f}")
+    there = _first_ns(log, begin)
+    click.echo(f"heading at its first epoch: heading_deg = {np.degrees(made.heading_rad(there)):.1f}")
     for note in log.notes:
         click.echo(f"note: {note}")
     click.echo(f"imu: {out}")
     return 0
 
 
-def _first_ns(log: AcousticLog) -> int:
-    """Return the first epoch of a run on a log's fixes and travel times."""
-    return min(o[0].t_ns for o in (log.fixes, log.observations) if o)
+def _first_ns(log: AcousticLog, from_ns: int = 0) -> int:
+    """Return the first epoch of a run on a log's fixes and travel times from a time on."""
+    times = (o.t_ns for o in (*log.fixes, *log.observations) if o.t_ns >= from_ns)
+    return min(times, default=from_ns)

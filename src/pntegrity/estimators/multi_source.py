@@ -9,11 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pntegrity.estimators._gnss import GnssOptions
-from pntegrity.estimators._ins_motion import advance, inertial_prior
-from pntegrity.estimators._ins_solution import Aside, attitude_now, with_aside
+from pntegrity.estimators._ins_motion import advance, inertial_prior, with_large_turns
+from pntegrity.estimators._ins_solution import Aside, mean_of, with_aside
 from pntegrity.estimators._ins_start import align, begun
 from pntegrity.estimators._navigation import not_started
 from pntegrity.estimators._usual import Usual
+from pntegrity.kernels.rotations import rotation
 from pntegrity.records import Epoch, FloatArray, Layout, Observation, Prior, State, Update
 from pntegrity.sensors.source import Nuisance, Pose, Source, SourceRows, Track
 from pntegrity.states import is_left_out
@@ -77,7 +78,7 @@ class MultiSource(Usual):
         if dt > self.options.max_gap_s or dt <= 0.0:
             event = f"restart after a gap of {dt:.0f} s"
             return self._start(State.empty(state.t_ns), epoch, (event,), len(state))
-        moved = advance(state, epoch.imu, dt, self.options.ins)
+        moved = with_large_turns(advance(state, epoch.imu, dt, self.options.ins), state, dt)
         aside: Vessel = state.aside
         track = _further(aside.track, epoch.t_ns, moved.position_m, moved.C)
         known = replace(aside, C=moved.C, rate_radps=moved.rate_radps, track=track)
@@ -106,7 +107,7 @@ class MultiSource(Usual):
             update = update.with_spares(
                 spare, nu[~used], H[~used], R[np.ix_(~used, ~used)], names, R[np.ix_(~used, used)]
             )
-        return with_aside(update, _corrected(update.posterior))
+        return with_aside(update, _corrected(update))
 
     def _start(self, old: State, epoch: Epoch, events: tuple[str, ...], n_old: int = 0) -> Prior:
         """Return the start at a fix of any source that gives one."""
@@ -178,13 +179,15 @@ def _why(found: list[SourceRows]) -> str:
     return next((rows.reason for rows in found if rows.reason), "no source gave anything to use")
 
 
-def _corrected(state: State) -> Vessel:
-    """Return what stands beside a posterior: the last pose of the track is as corrected."""
+def _corrected(update: Update) -> Vessel:
+    """Return what stands beside a posterior: the whole track is put right, by what the update found wrong."""
+    state = update.posterior
     aside: Vessel = state.aside
     assert aside.track is not None
-    position = np.vstack([aside.track.position_m[:-1], state.mean[:3]])
-    C = np.concatenate([aside.track.C[:-1], attitude_now(state)[None]])
-    return replace(aside, track=Track(aside.track.t_ns, position, C))
+    track, step = aside.track, state.mean - update.prior.mean
+    age_s = (state.t_ns - track.t_ns) * 1e-9
+    position = track.position_m + step[:3] - age_s[:, None] * step[3:6]
+    return replace(aside, track=Track(track.t_ns, position, rotation(mean_of(state, "att")) @ track.C))
 
 
 def _further(track: Track | None, t_ns: int, position_m: FloatArray, C: FloatArray) -> Track:

@@ -245,7 +245,9 @@ them.""",
         "Real vessels with GNSS, ranges to beacons and a simulated IMU: faults through the whole chain",
         """A Wave Glider (NCL1) and a ship (SAGA), real fixes and two-way travel times, each a TOML file
 (docs/examples); the IMU (STIM300, 100 Hz) is simulated on the receiver's own track, the truth. Sigmas
-were chosen on other parts of the logs. One fault a run, from 300 s to 600 s of 1,500 s.""",
+were chosen on a part of each log, the GNSS floor of NCL1 on the quoted spans as well. The rules of
+identification were made with the quoted spans in view; drifts at other times are beside them. One fault a
+run, from 300 s to 600 s of 1,500 s.""",
         from_module("evidence_vessels", "evidence"),
     ),
     Campaign(
@@ -260,18 +262,18 @@ chosen on another seed of the same cases.""",
     Campaign(
         "vessel-cases",
         "Several sources beside an INS, simulated: the six cases through the whole chain",
-        """The ship of the linear study as a log: increments of its INS at 100 Hz, pseudoranges of 12 satellites,
-travel times to four beacons, USBL, 2 Hz; filter, source and sensor level, exclusion with a re-run from before
-the onset, trial and re-admission as `pntegrity run` has them. 40 runs without a fault, 20 of each case; 6 with
-the published monitors and five passes.""",
+        """The ship of the linear study as a log: increments of its INS at 100 Hz, pseudoranges of 12
+satellites, travel times to four beacons, USBL, 2 Hz; filter, source and sensor level, exclusion with a re-run
+from before the onset, trial and re-admission as `pntegrity run` has them. 40 runs without a fault, 20 of each
+case; 6 with the published monitors and five passes.""",
         from_module("evidence_vessel_cases", "vessel_cases"),
         real=False,
     ),
     Campaign(
         "vessel-speed",
         "Several sources beside an INS: speed",
-        """CPU time on one core of the ship with four sources (12 satellites, four beacons, USBL, depth) at 1 Hz,
-increments at 100 Hz, with all monitors: source level, sensor level, protection levels, trials.""",
+        """CPU time on one core of the ship with four sources (12 satellites, four beacons, USBL, depth) at
+1 Hz, increments at 100 Hz, with all monitors: source level, sensor level, protection levels, trials.""",
         from_module("evidence_vessel_cases", "vessel_speed"),
         real=False,
     ),

@@ -226,14 +226,20 @@ class Mounted(NamedTuple):
 
 
 class Travel(NamedTuple):
-    """How long a sound was in the water, s, its derivatives by position and attitude, and the reply's
-    delay.
+    """How long a sound was in the water, s, its derivatives by position, velocity and attitude, and the
+    reply's delay.
     """
 
     time_s: float
     by_place: FloatArray
+    by_speed: FloatArray
     by_turn: FloatArray
     delay_s: float
+
+    @property
+    def slopes(self) -> dict[str, FloatArray]:
+        """Derivatives by block of states."""
+        return {"pos": self.by_place, "vel": self.by_speed, "att": self.by_turn}
 
 
 def travel(
@@ -261,15 +267,19 @@ def travel(
     """
     received = received_ns(o, i)
     two_way = int(o.aux["ways"][i]) == 2 if "ways" in o.aux else two_way
-    ends = [Mounted.at(pose, received, arm_m)]
+    times, ends = [received], [Mounted.at(pose, received, arm_m)]
     if two_way:
         sent = int(o.aux["t0_ns"][i]) if "t0_ns" in o.aux else received - round(float(o.y[i]) * 1e9)
+        times.append(sent)
         ends.append(Mounted.at(pose, sent, arm_m))
     paths = [water.path(end.position_m, beacon.position_m) for end in ends]
     turns = [path.slowness_spm @ end.by_turn for path, end in zip(paths, ends, strict=True)]
     by_place = np.sum([path.slowness_spm for path in paths], axis=0)
+    ages_s = [(pose.t_ns - t) * 1e-9 for t in times]
+    by_speed = -np.sum([age * path.slowness_spm for age, path in zip(ages_s, paths, strict=True)], axis=0)
     time = sum(path.time_s for path in paths)
-    return Travel(time, by_place, np.sum(turns, axis=0), beacon.delay_s if two_way else 0.0)
+    delay_s = beacon.delay_s if two_way else 0.0
+    return Travel(time, by_place, by_speed, np.sum(turns, axis=0), delay_s)
 
 
 def received_ns(o: Observation, i: int) -> int:

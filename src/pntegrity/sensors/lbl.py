@@ -129,7 +129,7 @@ class Lbl:
                 rows.append(self._row(observation, i, pose, float(var[i])))
             except ValueError as error:
                 reasons.append(f"{observation.keys[i]}: {error}")
-        blocks = {"pos": 3, "att": 3} | {n.name: 1 for n in self.nuisances()}
+        blocks = {"pos": 3, "vel": 3, "att": 3} | {n.name: 1 for n in self.nuisances()}
         return assemble(rows, blocks, reasons)
 
     def _row(self, o: Observation, i: int, pose: Pose, var: float) -> Row:
@@ -140,13 +140,12 @@ class Lbl:
         repeated = int(o.aux["repeated"][i]) if "repeated" in o.aux else 0
         if self.most_repeats and repeated >= self.most_repeats:
             raise ValueError(f"its value came {repeated} times unchanged")
-        time, H_pos, H_att, delay = travel(
-            self.water, o, i, pose, np.asarray(self.lever_arm_m), beacon, self.two_way
-        )
-        scale = float(pose.nuisance.get(self.scale, 0.0))
-        k = 1.0 / (1.0 + scale)
-        H: dict[str, FloatArray | float] = {"pos": k * H_pos, "att": k * H_att, self.scale: -k * k * time}
-        return Row(o.keys[i], y - delay - k * time, H, var)
+        arm = np.asarray(self.lever_arm_m)
+        found = travel(self.water, o, i, pose, arm, beacon, self.two_way)
+        k = 1.0 / (1.0 + float(pose.nuisance.get(self.scale, 0.0)))
+        H: dict[str, FloatArray | float] = {name: k * slope for name, slope in found.slopes.items()}
+        H[self.scale] = -k * k * found.time_s
+        return Row(o.keys[i], y - found.delay_s - k * found.time_s, H, var)
 
     def _beacon(self, name: str) -> Beacon:
         beacon = self.places.get(name)

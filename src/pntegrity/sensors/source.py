@@ -77,7 +77,8 @@ class Pose:
     rate_radps : ndarray, shape (3,)
         Angular rate with respect to the Earth, body axes.
     track : Track
-        The last seconds, this instant included: for signals that travel long. Its errors are those of now.
+        The last seconds, this instant included: for signals that travel long. Its errors are those of now:
+        the attitude's, and the position's less the velocity's times the age.
     nuisance : mapping of str to float
         The source's own states, by name.
     """

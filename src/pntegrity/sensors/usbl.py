@@ -126,7 +126,7 @@ class Usbl:
                 rows.append(self._row(observation, i, pose, float(var[i])))
             except ValueError as error:
                 reasons.append(f"{key}: {error}")
-        return assemble(rows, {"pos": 3, "att": 3}, reasons)
+        return assemble(rows, {"pos": 3, "vel": 3, "att": 3}, reasons)
 
     def _row(self, o: Observation, i: int, pose: Pose, var: float) -> Row:
         what, y = sensor_of(o.keys[i]), float(o.y[i])
@@ -153,7 +153,7 @@ class Usbl:
     def _time(self, o: Observation, i: int, pose: Pose) -> tuple[float, dict[str, FloatArray]]:
         arm = np.asarray(self.lever_arm_m)
         found = travel(self.water, o, i, pose, arm, self.beacon, self.two_way)
-        return found.time_s + found.delay_s, {"pos": found.by_place, "att": found.by_turn}
+        return found.time_s + found.delay_s, found.slopes
 
     def _angle(self, key: str, what: str, y: float, here: Mounted, var: float) -> Row:
         if abs(y) > LARGEST_ANGLE_RAD:
