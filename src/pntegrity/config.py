@@ -19,6 +19,7 @@ from pntegrity.inertial import VEHICLE, InertialConfig, usual_monitors
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import parse_fault
+from pntegrity.vehicle import priors_of
 
 __all__ = [
     "RunConfig",
@@ -172,10 +173,12 @@ class RunConfig(InertialConfig):
 
     def ism_model(self) -> Ism:
         """Return the integrity support message: that of the estimator's surroundings, where nothing else is
-        given; its false-alert probability is `p_fa`, where it has none.
+        given; its false-alert probability is `p_fa`, and priors are those of the sources, where it has none.
         """
-        usual = MESSAGES[discover_estimators()[self.estimator].surroundings]
-        return Ism.from_table(usual.to_table() | {"p_fa": self.p_fa} | self.ism)
+        usual = MESSAGES[discover_estimators()[self.estimator].surroundings].to_table()
+        priors = priors_of(self.source) | dict(self.ism.get("sources", {}))
+        given = self.ism | ({"sources": priors} if priors else {})
+        return Ism.from_table(usual | {"p_fa": self.p_fa} | given)
 
     def build_monitors(self, p_fa: float | None = None, noise: NoiseModel | None = None) -> tuple[Any, ...]:
         """Return the monitors, each with its calibrated threshold factor and its own options."""

@@ -24,7 +24,9 @@ from pntegrity.states import sensor_of
 __all__ = ["LOADING", "LOGS", "SourceFile", "fields_of", "formats_of", "read_log", "read_source"]
 
 #: Fields of a ``[[source]]`` table that say where its measurements are; all others are those of its type.
-LOADING = ("type", "file", "format", "origin_ns", "sigma_m", "obs", "nav", "systems")
+LOADING = (
+    "type", "file", "format", "origin_ns", "sigma_m", "obs", "nav", "systems", "prior", "prior_sensor",
+)  # fmt: skip
 #: Layouts of whole logs, which hold a vessel's fixes, its travel times and where the beacons are.
 LOGS: dict[str, Callable[..., AcousticLog]] = {"gnatss": read_gnatss, "garpos": read_garpos}
 #: Types that whole logs have measurements for.

@@ -19,7 +19,7 @@ from pntegrity.records import Epoch, Observation
 from pntegrity.sensors.source import Source
 from pntegrity.source_files import LOADING, fields_of, read_source
 
-__all__ = ["check_clocks", "loaded", "sources_of", "types"]
+__all__ = ["check_clocks", "loaded", "priors_of", "sources_of", "types"]
 
 #: A source that begins so much later than the first, or ends so much earlier than the last, is told, s.
 LATE_S = 60.0
@@ -49,6 +49,16 @@ def sources_of(tables: Sequence[Mapping[str, Any]]) -> tuple[Source, ...]:
         if names.count(name) > 1:
             raise ValueError(f"two sources are called {name!r}: give each a `name` of its own")
     return made
+
+
+def priors_of(tables: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Return the fault probabilities that ``[[source]]`` tables state: `prior` of the source as ``"lbl"``,
+    `prior_sensor` of any one of its sensors as ``"lbl.*"``; fields of `Ism.sources`.
+    """
+    names = [str(t.get("name") or t.get("type")) for t in tables]
+    whole = {n: t["prior"] for n, t in zip(names, tables, strict=True) if "prior" in t}
+    each = {f"{n}.*": t["prior_sensor"] for n, t in zip(names, tables, strict=True) if "prior_sensor" in t}
+    return whole | each
 
 
 def _source(table: dict[str, Any], number: int) -> Source:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from gnss_logs import PLACE, START
+from pntegrity.config import load_toml, make_config
+from pntegrity.errors import InputError
 from pntegrity.physics.time import to_week_tow
 
 HEAD = "gps_week,tow_s,gyr_x_rps,gyr_y_rps,gyr_z_rps,acc_x_mps2,acc_y_mps2,acc_z_mps2"
@@ -82,3 +84,15 @@ def test_what_does_not_go_together_is_refused(vehicle, pnt, tmp_path):
 
 def test_nothing_of_it_can_be_calibrated(vehicle, pnt, tmp_path):
     assert pnt("calibrate", "--config", vehicle(), "--out", tmp_path / "noise.toml").refused("nothing to fit")
+
+def test_priors_of_sources_are_those_of_their_tables_and_the_message_wins(vehicle, tmp_path):
+    text = "".join(
+        f'[[source]]\ntype = "fix"\nname = "{n}"\nfile = "{tmp_path / n}.csv"\nprior = {p}\n'
+        for n, p in (("bow", 1e-4), ("stern", 1e-3))
+    )
+    values = load_toml(vehicle(text + "[ism]\nsources = {stern = 2e-3}\n"))
+    ism = make_config(values).ism_model()
+    assert (ism.source("bow"), ism.source("stern"), ism.source("keel")) == (1e-4, 2e-3, 1e-5)
+    bad = load_toml(vehicle(text.replace("0.0001", "1.5")))
+    with pytest.raises(InputError, match=r"bow.*1\.5"):
+        make_config(bad)
