@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pntegrity.records import Update, Verdict
     from pntegrity.watch import Watch
 
-__version__ = "0.4.0"
+__version__ = "0.5.0"
 __all__ = [
     "Aime", "FactorSetTest", "Glr", "Ism", "Pipeline", "Rctm", "SensorWindow", "Separation",
     "SourceSeparation", "Sraime", "Srctm", "Update", "Verdict", "Watch", "__version__",
