@@ -278,15 +278,19 @@ def make_config(values: dict[str, Any]) -> RunConfig:
     try:
         return RunConfig(**values)
     except ValidationError as error:
+        for found in error.errors():
+            why = found.get("ctx", {}).get("error")
+            if isinstance(why, InputError):  # of a file: it names file, line and what to do
+                raise why from None
         why = "; ".join(_in_words(dict(e)) for e in error.errors())
         raise InputError(why, hint="`pntegrity run --help` lists the options") from None
 
 
 def _in_words(error: dict[str, Any]) -> str:
     """Return what pydantic found: the field, what is wrong, and the value where the text does not have it."""
-    where = ".".join(str(p) for p in error["loc"]) or "options"
+    where = ".".join(str(p) for p in error["loc"])
     if error["type"] == "value_error":
-        return f"{where}: {error['ctx']['error']}"
+        return f"{where}: {error['ctx']['error']}" if where else str(error["ctx"]["error"])
     return f"{where}: {error['msg']}, not {error['input']!r}"
 
 

@@ -46,12 +46,12 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     trusts the prior, the only group of an epoch can be at fault as well. Before all others
     come monitors that identify, where there are any.
     """
-    identifying = [v for v in verdicts if v.status == "alert" and v.monitor in policy.identifying]
-    naming = [v for v in identifying if v.suspects]
-    if naming:
-        return _from_names(update, naming)
-    if identifying and not update.excluded and policy.trust_prior:
-        return Decision(reason="nobody who may be at fault is measured now; nothing is left out")
+    level = [v for name in policy.identifying for v in verdicts if v.monitor == name]
+    alarmed = [v for v in level if v.status == "alert"]
+    if alarmed and alarmed[0] is level[0] and level[0].suspects:
+        return _from_names(update, [v for v in alarmed if v.suspects])
+    if alarmed and not update.excluded and policy.trust_prior:
+        return Decision(reason=_untold(alarmed[0], level[0]))
     if policy.trust_prior and len(update.groups()) == 1:
         return _from_prior(update, verdicts, policy, previous_ns)
     if not policy.trust_prior and dynamics_failed(update, policy.p_fa):
@@ -89,26 +89,26 @@ def _from_prior(update: Update, verdicts: Sequence[Verdict], policy: Policy, pre
 def _from_names(update: Update, alerts: Sequence[Verdict]) -> Decision:
     """Return who is named: whole sources, or sensors where a monitor names these and their source has others.
 
-    Where others may be at fault as well, and all of these would need more sources at fault at once, the first
-    is left out in doubt; where not, nobody is.
+    The first has the word on sources, the others on their sensors. Where others may be at fault
+    as well, and all of these would need more sources at fault at once, the first suspect is left out in
+    doubt; where not, nobody is.
     """
-    clear = [v for v in alerts if not v.ambiguous and len(v.suspects) == 1]
-    sure = min(clear, key=lambda v: len(v.suspects[0].groups), default=None)
-    chosen = sure or max(alerts, key=lambda v: v.statistic / v.threshold)
-    suspect = chosen.foremost
+    chosen = alerts[0]
+    suspect, doubtful = chosen.foremost, chosen.ambiguous or len(chosen.suspects) > 1
     if suspect is None:
         return Decision(reason=_unclear(chosen))
-    others = tuple(dict.fromkeys(s.groups for s in chosen.suspects[1:]))
-    told = [v.suspects[0].sensors for v in (*clear[::-1], chosen) if v.suspects[0].groups == suspect.groups]
+    clear = (v for v in alerts[::-1] if not v.ambiguous and len(v.suspects) == 1)
+    told = [v.suspects[0].sensors for v in (*clear, chosen) if v.suspects[0].groups == suspect.groups]
     names = _names(update, suspect.groups, next((s for s in told if s), ()))
     made = (
         Exclusion(
             update.t_ns, n, chosen.monitor, suspect.statistic, suspect.size, suspect.kind, suspect.onset_ns,
-            sure is None, doubtful=sure is None,
+            doubtful, doubtful=doubtful,
         )
         for n in names
     )  # fmt: skip
-    return Decision(tuple(made), suspect.onset_ns, alternatives=others if sure is None else ())
+    others = tuple(dict.fromkeys(s.groups for s in chosen.suspects[1:]))
+    return Decision(tuple(made), suspect.onset_ns, alternatives=others if doubtful else ())
 
 
 def _names(update: Update, groups: tuple[str, ...], sensors: tuple[str, ...]) -> tuple[str, ...]:
@@ -117,6 +117,13 @@ def _names(update: Update, groups: tuple[str, ...], sensors: tuple[str, ...]) ->
     if len(groups) == 1 and sensors and (there - set(sensors) or len(there) == 1):
         return tuple(f"{groups[0]}.{s}" for s in sensors)
     return groups
+
+
+def _untold(alarmed: Verdict, first: Verdict) -> str:
+    """Say why an alarm names no source."""
+    if alarmed is first:
+        return "nobody who may be at fault is measured now; nothing is left out"
+    return f"{alarmed.monitor} alarms, and {first.monitor} tells no source at fault; nothing is left out"
 
 
 def _unclear(verdict: Verdict) -> str:

@@ -26,7 +26,7 @@ from pntegrity.physics.time import SECOND_NS, from_iso
 from pntegrity.records import Epoch, Observation
 from pntegrity.sensors.imu_spec import read_imu_spec
 from pntegrity.sensors.increments import with_increments
-from pntegrity.vehicle import check_clocks, sources_of
+from pntegrity.vehicle import carried_on, check_clocks, sources_of
 
 __all__ = [
     "InertialConfig",
@@ -277,9 +277,11 @@ def _moved(epochs: Sequence[Epoch], i: int) -> tuple[Observation, float] | None:
 
 
 def with_imu(
-    config: InertialConfig, epochs: Sequence[Epoch], options: GnssOptions, notes: list[str]
-) -> tuple[Epoch, ...]:
-    """Return the epochs with the increments since the epoch before.
+    config: InertialConfig, epochs: Sequence[Epoch], options: GnssOptions, notes: list[str],
+    end_ns: int | None = None,
+) -> tuple[Epoch, ...]:  # fmt: skip
+    """Return the epochs with the increments since the epoch before; those of a vehicle with sources also
+    where these are silent.
 
     Parameters
     ----------
@@ -289,6 +291,8 @@ def with_imu(
         For the velocities that tell the lag, where it is ``"auto"``.
     notes : list of str
         Gets what was dropped or estimated.
+    end_ns : int, optional
+        End of the run, for a vehicle that goes on without sources.
 
     Raises
     ------
@@ -305,6 +309,7 @@ def with_imu(
         whole = without_lag(whole, estimate_lag(whole, epochs, options, notes), config.imu, notes)
     if config.source:
         check_clocks(config.source, epochs, whole.t_ns, config.imu, notes)
+        epochs = carried_on(epochs, whole.t_ns, notes, end_ns)
     try:
         return with_increments(epochs, whole)
     except ValueError as error:

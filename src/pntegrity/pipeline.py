@@ -18,7 +18,7 @@ from pntegrity.protocols import Estimator, Monitor, Switching, carried, memory_f
 from pntegrity.proving import Past, Proof, is_due, prove
 from pntegrity.readmission import distrusting, left_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
-from pntegrity.states import is_left_out
+from pntegrity.states import is_left_out, names_sensor, source_of
 
 #: A blunder larger than this moves a start so far that its linearisation blames others too, m.
 FAR_M = 1000.0
@@ -261,8 +261,17 @@ def _with_new(
     for e in made:
         counts[e.group] = counts.get(e.group, 0) + 1
         doubtful = e.doubtful or (e.switch and e.ambiguous)
-        standing[e.group] = Standing(e.onset_ns, t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful)
+        standing[e.group] = Standing(
+            e.onset_ns, t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful, size=_size_of(e, t_ns)
+        )
     return counts, standing
+
+
+def _size_of(e: Exclusion, t_ns: int) -> float:
+    """Return how large the fault of a sensor that was named is by now; 0: not known."""
+    if not names_sensor(e.group):
+        return 0.0
+    return abs(e.size) * ((t_ns - e.onset_ns) * 1e-9 if e.kind == "ramp" else 1.0)
 
 
 def _told(standing: Mapping[str, Standing], last: Attempt, alert: bool, reason: str) -> tuple[Status, str]:
@@ -302,7 +311,7 @@ def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
     it.
     """
     names = (*update.excluded, *(e.group for e in new))
-    out = {name.partition(".")[0] for name in names}
+    out = {source_of(name) for name in names}
     total = out | set(update.groups())
     if len(out) <= policy.most_excluded * len(total):
         return ""

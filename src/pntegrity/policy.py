@@ -92,7 +92,10 @@ class Standing:
     anew : bool
         Whether its ambiguities shall begin anew at the next epoch, and prove themselves.
     rows : tuple of (str, float)
-        By how much its rows were off when it was excluded.
+        By how much its rows were off when it was excluded; where a trial is the proof, the most that was seen
+        since.
+    size : float
+        Where it is a sensor that a monitor named: how large its fault was when it was excluded.
     doubtful : bool
         Whether others could be at fault as well: until its rows show that they are off.
     gain : float
@@ -114,6 +117,7 @@ class Standing:
     doubtful: bool = False
     gain: float = 0.0
     count: int = 0
+    size: float = 0.0
 
 
 @dataclass(frozen=True)

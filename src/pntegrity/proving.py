@@ -7,7 +7,7 @@ the time, and none is made while a fault shows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,15 +19,17 @@ from pntegrity.kernels.linear import inverse_definite
 from pntegrity.kernels.recovery import Trial, w_test
 from pntegrity.protocols import Estimator
 from pntegrity.records import Epoch, FloatArray, State, Update
-from pntegrity.states import is_left_out
+from pntegrity.states import is_left_out, names_sensor
 
 __all__ = ["Past", "Proof", "is_due", "left_out_rows", "passes_now", "prove"]
 
-#: A row that was not shown to be off by more is proved not to be off by so many standard deviations of its
-#: residual: what can be seen of it.
+#: A row of a source that went as a whole is proved not to be off by so many standard deviations of its
+#: residual at least: what can be seen of it.
 LEAST_SIGMA = 6.0
+#: A fault that is still there is at least so much of the largest that was seen.
+STILL = 0.5
 #: A trial is worth while where each estimated bias may be so many standard deviations.
-ENOUGH = 2.5
+ENOUGH = 2.0
 #: Each trial is this much longer than the one before.
 LONGER = 1.5
 
@@ -62,8 +64,8 @@ class Proof:
         The largest estimated bias of a row, or the largest w-statistic, in standard deviations; what that may
         be.
     readmission : float
-        Probability with which a row passes this trial that is off by as much as it was when it was left out
-        (or by 6 standard deviations of its residual, where that is more); 1 where nothing is known of it.
+        Probability with which a row passes this trial that is off by as much as must be proved (see
+        `prove`); 1 where nothing is known of it.
     reason : str
         Why nothing can be said.
     """
@@ -99,6 +101,10 @@ def prove(
 ) -> Proof:
     """Return what a trial shows of who was left out, over the epochs since its residuals were small.
 
+    Proved is that no row is off by half of the largest residual that was seen of it; nor, of a sensor that
+    was named, by its fault as it was when it was left out; nor, of a source that went as a whole, by 6
+    standard deviations of the residual, where that is more.
+
     Parameters
     ----------
     estimator : Estimator
@@ -118,7 +124,7 @@ def prove(
         return Proof(name, t_ns, len(window), False, reason="nothing was measured")
     rows = tuple(_places(u, keys) for u in updates)
     trial = Trial(
-        tuple((u.F, u.H, u.L, u.K) for u in updates), rows, _sizes(updates, keys, dict(standing.rows)),
+        tuple((u.F, u.H, u.L, u.K) for u in updates), rows, _sizes(updates, keys, name, standing),
         policy.p_readmit, policy.p_refuse, ENOUGH if len(window) >= policy.history else -np.inf,
     )  # fmt: skip
     return _proof(trial, updates, Proof(name, t_ns, len(window), False))
@@ -141,13 +147,15 @@ def _places(update: Update, keys: Sequence[str]) -> npt.NDArray[np.intp]:
     return np.array([at.get(key, -1) for key in keys], dtype=np.intp)
 
 
-def _sizes(updates: Sequence[Update], keys: Sequence[str], known: Mapping[str, float]) -> FloatArray:
+def _sizes(updates: Sequence[Update], keys: Sequence[str], name: str, standing: Standing) -> FloatArray:
     """Return by how much each row must be proved not to be off."""
     seen: dict[str, float] = {}
     for u in (u for u in updates if u.keys):
         spread = (np.diagonal(inverse_definite(u.S)) ** -0.5).tolist()  # against all other rows
         seen = dict(zip(u.keys, spread, strict=True)) | seen
-    return np.array([max(abs(known.get(k, 0.0)), LEAST_SIGMA * seen[k]) for k in keys])
+    largest, whole = dict(standing.rows), not names_sensor(name)
+    least = (LEAST_SIGMA * seen[k] if whole or not standing.size else standing.size for k in keys)
+    return np.array([max(STILL * largest.get(k, 0.0), low) for k, low in zip(keys, least, strict=True)])
 
 
 def _proof(trial: Trial, updates: Sequence[Update], proof: Proof) -> Proof:

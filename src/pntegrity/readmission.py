@@ -58,7 +58,7 @@ def _tested(
     if not len(left_out_rows(update, name)):
         gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
         return None if gone else replace(s, seen_ns=t_ns if present else s.seen_ns), None
-    s = replace(s, seen_ns=t_ns, rows=s.rows or _offsets(update, name))
+    s = replace(s, seen_ns=t_ns, rows=_largest(s.rows, update, name))
     if policy.proof == "passes" or trial is None:
         passed, largest, limit = passes_now(update, name, policy.p_refuse)
         s = replace(s, count=s.count + 1 if passed else 0)
@@ -75,10 +75,15 @@ def _tested(
     return (s if proof.reason else replace(s, clean_ns=None, count=0)), proof
 
 
-def _offsets(update: Update, name: str) -> tuple[tuple[str, float], ...]:
-    """Return by how much the rows of who was left out are off, as the filter without them sees it."""
-    rows = left_out_rows(update, name)
-    return tuple((update.spare_keys[i], float(update.spare_nu[i])) for i in rows)
+def _largest(
+    before: tuple[tuple[str, float], ...], update: Update, name: str
+) -> tuple[tuple[str, float], ...]:
+    """Return by how much the rows of who is left out were off at most, as the filter without them saw it."""
+    known = dict(before)
+    for i in left_out_rows(update, name):
+        key = update.spare_keys[i]
+        known[key] = max(known.get(key, 0.0), abs(float(update.spare_nu[i])))
+    return tuple(known.items())
 
 
 def reacquired(

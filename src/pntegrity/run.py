@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,7 +33,7 @@ from pntegrity.records import Epoch, group_of
 from pntegrity.report.blind_spots import blind_spots
 from pntegrity.report.facts import RunFacts
 from pntegrity.sensors.noise import NoiseModel
-from pntegrity.simulate.faults import Fault, apply_faults, describe, parse_fault, touches_any
+from pntegrity.simulate.faults import Fault, apply_faults, describe, parse_fault, touches_any, units_of
 from pntegrity.states import sensor_of
 
 __all__ = ["RunResult", "load_epochs", "run"]
@@ -70,7 +73,8 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
     loaded = _observed(config) if config.obs is not None else _said(config)
     if config.imu is not None:
         notes: list[str] = []
-        epochs = with_imu(config, loaded.epochs, options_for(config, loaded), notes)
+        end_ns = _span(config, loaded.epochs[0].t_ns)[1]
+        epochs = with_imu(config, loaded.epochs, options_for(config, loaded), notes, end_ns)
         loaded = replace(loaded, epochs=epochs, notes=(*loaded.notes, *notes))
     faults = [parse_fault(text) for text in config.faults]
     return replace(loaded, epochs=tuple(_with_faults(loaded.epochs, faults)))
@@ -137,8 +141,11 @@ def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[E
     for fault in faults:
         if not touches_any(fault, epochs):
             keys = {k for e in epochs for o in e.observations for k in o.keys}
+            measured = units_of(fault, epochs)
+            who = f"{fault.groups}.{fault.sensor}" if fault.sensor else fault.groups
+            why = f": {who} measures {' and '.join(measured)}, not {fault.unit}" if measured else ""
             raise InputError(
-                f"fault: {describe(fault)}: no such row at that time", hint=f"The log has {_named(keys)}"
+                f"fault: {describe(fault)}: no such row at that time{why}", hint=f"The log has {_named(keys)}"
             )
     return apply_faults(epochs, faults) if faults else epochs
 
@@ -158,7 +165,13 @@ def _span(config: RunConfig, first_ns: int) -> Span:
 
 
 def time_of(text: str | None, first_ns: int) -> int | None:
-    """Return a time given as seconds from the first epoch or as GPS time in ISO form."""
+    """Return a time given as seconds from the first epoch or as GPS time in ISO form, ns of GPS time.
+
+    Raises
+    ------
+    InputError
+        Where it is neither.
+    """
     if text is None:
         return None
     try:
@@ -216,14 +229,39 @@ def _loop(
 ) -> tuple[tuple[Outcome, ...], bool]:
     outcomes: list[Outcome] = []
     try:
-        for i, epoch in enumerate(epochs):
-            outcomes.append(pipeline.push(epoch))
-            if i >= KEPT:
-                release(outcomes[i - KEPT])
-            progress("monitoring", i + 1, len(epochs))
+        with _interrupts() as interrupted:
+            for i, epoch in enumerate(epochs):
+                outcomes.append(pipeline.push(epoch))
+                if i >= KEPT:
+                    release(outcomes[i - KEPT])
+                progress("monitoring", i + 1, len(epochs))
+                if interrupted():
+                    return tuple(outcomes), True
     except KeyboardInterrupt:
         return tuple(outcomes), True
     return tuple(outcomes), False
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[], bool]]:
+    """Yield what tells whether an interrupt was asked for: the epoch that is computed then is finished, since
+    compiled functions turn an exception into another error. A second interrupt is one at once.
+    """
+    asked: list[int] = []
+    usual = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(usual):
+        yield lambda: False
+        return
+
+    def ask(number: int, frame: object) -> None:
+        asked.append(number)
+        signal.signal(signal.SIGINT, usual)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield lambda: bool(asked)
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 def release(outcome: Outcome) -> None:

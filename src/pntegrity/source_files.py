@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from pntegrity.formats.fixes import read_fixes
 from pntegrity.records import Observation
 from pntegrity.states import sensor_of
 
-__all__ = ["LOADING", "LOGS", "SourceFile", "fields_of", "formats_of", "read_log", "read_source"]
+__all__ = ["LOADING", "LOGS", "SourceFile", "fields_of", "formats_of", "listed", "read_log", "read_source"]
 
 #: Fields of a ``[[source]]`` table that say where its measurements are; all others are those of its type.
 LOADING = (
@@ -86,7 +87,22 @@ def read_source(kind: str, table: Table, notes: list[str]) -> SourceFile:
     if not any(table.get(key) for key in ("file", "obs")):
         needed = "obs = [...] and nav = [...]" if USUAL.get(kind) else 'file = "its measurements.csv"'
         raise InputError(f"source {name}: no `{needed.split()[0]}`", hint=f"Write {needed}")
-    return reader(kind, table, notes)
+    with _named_in_errors(name):
+        return reader(kind, table, notes)
+
+
+@contextmanager
+def _named_in_errors(source: str) -> Iterator[None]:
+    """Say in errors of files whose they are."""
+    try:
+        yield
+    except InputError as error:
+        if error.message.startswith("source "):
+            raise
+        raise InputError(
+            f"source {source}: {error.message}", path=error.path, line=error.line, epoch=error.epoch,
+            hint=error.hint,
+        ) from None  # fmt: skip
 
 
 def fields_of(kind: str, table: Table) -> dict[str, Any]:
@@ -107,7 +123,8 @@ def fields_of(kind: str, table: Table) -> dict[str, Any]:
     if "sound_speed_mps" in table:
         told.pop("profile", None)
     if isinstance(table.get("profile"), str):
-        told["profile"] = read_profile(Path(table["profile"]))
+        with _named_in_errors(str(table.get("name", kind))):
+            told["profile"] = read_profile(Path(table["profile"]))
     return told
 
 
@@ -133,9 +150,10 @@ def _csv(kind: str, table: Table, notes: list[str]) -> SourceFile:
         return SourceFile({}, with_repeats([_named(o, name) for o in fixes], notes))
     beacons = table.get("beacons")
     known = tuple(beacons) if beacons else None
-    return SourceFile(
-        {}, read_acoustics(path, source=name, beacons=known, origin_ns=origin, notes=notes)
-    )  # fmt: skip
+    said = read_acoustics(path, source=name, beacons=known, origin_ns=origin, notes=notes)
+    silent = set(known or ()) - {sensor_of(k) for o in said for k in o.keys}
+    notes += [f"source {name}: beacon {b!r} never replies" for b in sorted(silent)]
+    return SourceFile({}, said)
 
 
 def _named(fix: Observation, source: str) -> Observation:
@@ -227,7 +245,7 @@ def _check_beacons(name: str, table: Table, log: AcousticLog) -> None:
 
 def _satellites(kind: str, table: Table, notes: list[str]) -> SourceFile:
     """Read a receiver's observations and the ephemerides."""
-    files = [Path(p) for key in ("obs", "nav") for p in _listed(table.get(key))]
+    files = [Path(p) for key in ("obs", "nav") for p in listed(table.get(key))]
     key = json.dumps(dict(table), default=str, sort_keys=True)
     found, told = _satellites_of(key, _stamps(files))
     notes += told
@@ -243,7 +261,8 @@ def _satellites_of(table: str, stamps: tuple[tuple[str, int], ...]) -> tuple[Sou
     return SourceFile(fields, tuple(observations)), tuple(notes)
 
 
-def _listed(value: Any) -> Sequence[str]:
+def listed(value: Any) -> Sequence[str]:
+    """Return the files that a field names: one, or a list of them."""
     return [] if not value else [str(v) for v in value] if isinstance(value, list | tuple) else [str(value)]
 
 

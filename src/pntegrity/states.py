@@ -18,7 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 
 __all__ = [
     "ANEW", "FloatArray", "Layout", "Prior", "State", "freeze", "frozen", "group_of", "is_left_out",
-    "is_satellite", "rows_touched_by", "sensor_of",
+    "is_satellite", "names_sensor", "rows_touched_by", "sensor_of", "source_of",
 ]  # fmt: skip
 
 
@@ -34,6 +34,16 @@ def sensor_of(key: str) -> str:
     for a source that is one sensor.
     """
     return key.partition(":")[2].partition(".")[2]
+
+
+def source_of(name: str) -> str:
+    """Return the source of who can be left out: of a sensor (``"lbl.AP1"`` -> ``"lbl"``), or the group."""
+    return name.partition(".")[0]
+
+
+def names_sensor(name: str) -> bool:
+    """Tell whether the name of who is left out is that of a sensor of a source (``"lbl.AP1"``)."""
+    return "." in name
 
 
 _SATELLITE = re.compile(r"[A-Z]\d\d")

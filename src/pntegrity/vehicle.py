@@ -17,17 +17,28 @@ from pntegrity.formats._acoustics import check_in_common, epochs_of
 from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import Epoch, Observation
 from pntegrity.sensors.source import Source
-from pntegrity.source_files import LOADING, fields_of, read_source
+from pntegrity.source_files import LOADING, fields_of, listed, read_source
 
-__all__ = ["check_clocks", "loaded", "priors_of", "sources_of", "types"]
+__all__ = ["carried_on", "check_clocks", "loaded", "priors_of", "sources_of", "types"]
 
 #: A source that begins so much later than the first, or ends so much earlier than the last, is told, s.
-LATE_S = 60.0
+LATE_S = 30.0
+#: Fields of any type that are vectors.
+THREE = ("lever_arm_m", "mount_deg")
+#: By how much GPS time is ahead of UTC, s, and how close to it a shift of stamps looks like it.
+UTC_S, NEARLY_S = 18.0, 1.5
+#: A silence of all sources is longer than so many usual steps, and than so long, s.
+SILENT_STEPS, SILENT_S = 5, 2.0
+#: How long the inertial unit alone is asked where the vehicle is after a source spoke, s.
+ALONE_S = 120.0
 
 
 def types() -> dict[str, type[Any]]:
     """Return the types of sources by name: the modules of `sensors` that hold a class with ``rows``."""
-    return classes_with("pntegrity.sensors", "rows")
+    found = classes_with("pntegrity.sensors", "rows")
+    return {
+        n: c for n, c in found.items() if hasattr(c, "nuisances") and not getattr(c, "_is_protocol", False)
+    }
 
 
 def sources_of(tables: Sequence[Mapping[str, Any]]) -> tuple[Source, ...]:
@@ -54,8 +65,18 @@ def sources_of(tables: Sequence[Mapping[str, Any]]) -> tuple[Source, ...]:
 def priors_of(tables: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Return the fault probabilities that ``[[source]]`` tables state: `prior` of the source as ``"lbl"``,
     `prior_sensor` of any one of its sensors as ``"lbl.*"``; fields of `Ism.sources`.
+
+    Raises
+    ------
+    ValueError
+        Naming the source whose value is no probability.
     """
     names = [str(t.get("name") or t.get("type")) for t in tables]
+    for name, table in zip(names, tables, strict=True):
+        for field in ("prior", "prior_sensor"):
+            p = table.get(field, 0.0)
+            if isinstance(p, bool) or not isinstance(p, int | float) or not 0.0 <= p <= 1.0:
+                raise ValueError(f"source {name}: `{field}` must be a number of 0 to 1, not {p!r}")
     whole = {n: t["prior"] for n, t in zip(names, tables, strict=True) if "prior" in t}
     each = {f"{n}.*": t["prior_sensor"] for n, t in zip(names, tables, strict=True) if "prior_sensor" in t}
     return whole | each
@@ -77,6 +98,8 @@ def _source(table: dict[str, Any], number: int) -> Source:
             raise ValueError(
                 f"source {name}: a source of type {kind} has no `{key}`; it has {', '.join(allowed)}"
             )
+        if key in THREE and not _is_three_numbers(given[key]):
+            raise ValueError(f"source {name}: `{key}` must be three numbers, not {table[key]!r}")
     told = fields_of(kind, table)
     named = {k for k in given if isinstance(given[k], str)} & told.keys()  # a file in the place of a value
     try:
@@ -84,6 +107,10 @@ def _source(table: dict[str, Any], number: int) -> Source:
     except (TypeError, ValueError) as error:
         raise ValueError(f"source {name}: {error}") from None
     return made
+
+
+def _is_three_numbers(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 3 and all(isinstance(v, int | float) for v in value)
 
 
 def _plain(value: Any) -> Any:
@@ -166,13 +193,62 @@ def check_clocks(
         if name not in times:
             notes.append(f"source {name} says nothing in the time of the run")
             continue
-        check_in_common((name, times[name]), ("the IMU", imu_ns), path)
-        first, last = int(times[name].min()), int(times[name].max())
-        if first - epochs[0].t_ns > LATE_S * SECOND_NS:
+        file = next((Path(p) for key in ("file", "obs") for p in listed(table.get(key))), path)
+        check_in_common((name, times[name]), ("the IMU", imu_ns), file)
+        _told_late(f"source {name}", times[name], epochs, notes)
+    _told_late("the IMU", imu_ns, epochs, notes)
+    _told_shifted(times, notes)
+
+
+def _told_late(who: str, times: Times, epochs: Sequence[Epoch], notes: list[str]) -> None:
+    """Note what begins late or ends early; and what does so as if its stamps were UTC."""
+    late = (int(times.min()) - epochs[0].t_ns) * 1e-9
+    early = (epochs[-1].t_ns - int(times.max())) * 1e-9
+    if late > LATE_S:
+        notes.append(f"{who} begins at {to_iso(int(times.min()))}, {late:.0f} s late")
+    if early > LATE_S:
+        notes.append(f"{who} ends at {to_iso(int(times.max()))}, {early:.0f} s early")
+
+
+def _told_shifted(times: Mapping[str, Times], notes: list[str]) -> None:
+    """Note which source is early or late from its begin to its end as if its stamps were UTC."""
+    spans = np.array([[t.min(), t.max()] for t in times.values()])
+    for name, off in zip(times, (spans - np.median(spans, axis=0)) * 1e-9, strict=True):
+        if (np.abs(np.abs(off) - UTC_S) < NEARLY_S).all() and off[0] * off[1] > 0.0:
             notes.append(
-                f"source {name} begins at {to_iso(first)}, {(first - epochs[0].t_ns) * 1e-9:.0f} s late"
+                f"all times of source {name} are {UTC_S:g} s {'after' if off[0] > 0.0 else 'before'} those of the "
+                "others, which is what UTC and GPS time differ by: see its stamps"
             )
-        if epochs[-1].t_ns - last > LATE_S * SECOND_NS:
-            notes.append(
-                f"source {name} ends at {to_iso(last)}, {(epochs[-1].t_ns - last) * 1e-9:.0f} s early"
-            )
+
+
+def carried_on(
+    epochs: Sequence[Epoch], imu_ns: Times, notes: list[str], end_ns: int | None = None
+) -> tuple[Epoch, ...]:
+    """Return the epochs, and empty ones where no source says anything and the inertial unit goes on.
+
+    Parameters
+    ----------
+    epochs : sequence of Epoch
+    imu_ns : ndarray of int64
+        Times of the unit.
+    notes : list of str
+        Gets where it is alone.
+    end_ns : int, optional
+        End of the run.
+    """
+    t = np.array([e.t_ns for e in epochs], dtype=np.int64)
+    if len(t) < 2:
+        return tuple(epochs)
+    step = int(np.median(np.diff(t)))
+    silent = max(SILENT_STEPS * step, round(SILENT_S * SECOND_NS))
+    until = int(imu_ns.max()) if end_ns is None else min(int(imu_ns.max()), end_ns)
+    out = list(epochs)
+    for a, b in zip(t.tolist(), [*t[1:].tolist(), max(until, int(t[-1])) + 1], strict=True):
+        if b - a <= silent:
+            continue
+        alone = range(a + step, min(b - step // 2, until + 1, a + round(ALONE_S * SECOND_NS) + 1), step)
+        inside = [k for k in alone if imu_ns[np.searchsorted(imu_ns, k)] - k < silent]
+        out += [Epoch(k, ()) for k in inside]
+        if inside:
+            notes.append(f"no source says anything after {to_iso(a)}: {len(inside)} epochs of the INS alone")
+    return tuple(sorted(out, key=lambda e: e.t_ns))

@@ -71,7 +71,7 @@ def test_lines_that_are_damaged_are_dropped_and_told(table):
     rows = "2024-06-01T10:00:00,A,1,1\nnonsense,A,2,1\n2024-06-01T10:00:02,A,x,1\n2024-06-01T10:00:03\n"
     (o,) = table(LBL + rows, notes=notes)
     assert o.t_ns == T0
-    assert notes == ["acoustics.csv: 3 lines dropped: no time or no number, first line 3"]
+    assert notes == ["acoustics.csv: 3 lines dropped: no time or no usable number, first line 3"]
 
 
 @pytest.mark.parametrize(

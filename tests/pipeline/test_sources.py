@@ -240,6 +240,16 @@ def test_an_ambiguous_verdict_leaves_nobody_out_and_says_who_may_be_at_fault():
     assert "a or b" in found.reason
 
 
+def test_the_source_level_has_the_word_on_sources():
+    unsure = says("source_separation", of("a"), of("b"), ambiguous=True)
+    sure = says("sensor_window", of("b", sensors=("1",)))
+    silent = replace(sure, monitor="source_separation", status="ok", suspects=())
+    assert names([sure, unsure]) == []
+    assert names([sure, silent]) == []
+    assert names([sure]) == ["b.1"]  # it works alone
+    assert "tells no source" in decide(update(), [sure, silent], IDENTIFYING, 5).reason
+
+
 def test_where_all_others_need_more_sources_at_fault_the_first_goes_in_doubt():
     verdict = says("source_separation", of("a", sensors=("1",)), of("b", "c"), ambiguous=True)
     found = decide(update((9.0, 9.0, 0.0, 0.0)), [verdict], IDENTIFYING, 5)

@@ -12,7 +12,6 @@ from pntegrity.records import Epoch, Observation
 from pntegrity.simulate.faults import (
     apply_faults,
     describe,
-    groups_at_fault,
     parse_fault,
     signature,
     touches_any,
@@ -231,10 +230,3 @@ def test_words_for_people():
         "clock drift of 0.01 m/s^2 on the receiver clock, from 100 s to 200 s"
     )
     assert describe(parse_fault("G* bias 3 m")) == "bias of 3 m on the code of all G satellites, from 0 s on"
-
-
-def test_who_is_at_fault_when():
-    faults = [parse_fault("G bias 1 m 0:10"), parse_fault("E11 bias 1 m 5:")]
-    assert groups_at_fault(faults, KEYS, START, START) == {"G05", "G07"}
-    assert groups_at_fault(faults, KEYS, START + 7 * SECOND, START) == {"G05", "G07", "E11"}
-    assert groups_at_fault(faults, KEYS, START + 12 * SECOND, START) == {"E11"}

@@ -16,7 +16,7 @@ from math import prod
 from pntegrity.bounds.ism import Ism
 from pntegrity.bounds.sectors import Sectors
 from pntegrity.errors import InputError
-from pntegrity.states import group_of, is_satellite, sensor_of
+from pntegrity.states import group_of, is_satellite, sensor_of, source_of
 
 __all__ = [
     "Event",
@@ -85,6 +85,12 @@ def names_of(ism: Ism, keys: tuple[str, ...]) -> tuple[str, ...]:
     """Return who can fail among some rows: their groups, and the sensors of sources (``"lbl.AP1"``) of which
     the message says something; sorted.
 
+    Parameters
+    ----------
+    ism : Ism
+    keys : tuple of str
+        Of rows, as ``"lbl:R.AP1"``.
+
     Examples
     --------
     >>> names_of(Ism(sources=(("lbl.AP1", 1e-5),)), ("lbl:R.AP1", "lbl:R.AP2", "usbl:R.range"))
@@ -139,14 +145,14 @@ def _of_source(ism: Ism, group: str, groups: tuple[str, ...]) -> float:
     own = ism.sensor(group) if "." in group else None
     if own is not None:
         return own
-    if group.partition(".")[0] in groups and "." in group:
+    if source_of(group) in groups and "." in group:
         return 0.0
     return {"trop": ism.p_trop, "iono": ism.p_iono}.get(group, ism.source(group))
 
 
 def _within(own: tuple[str, ...], groups: tuple[str, ...]) -> tuple[str, ...]:
     """Return the groups among `own`, and the sensors of sources among them."""
-    return tuple(g for g in groups if g in own or g.partition(".")[0] in own)
+    return tuple(g for g in groups if g in own or source_of(g) in own)
 
 
 def _patterns(group: str) -> tuple[str, ...]:
@@ -179,6 +185,14 @@ def modes_of(
     """Return the events of the groups that are there, and the modes to monitor; see `events_of`.
 
     What the separation monitor carries and what the risk tree shows is both made here.
+
+    Parameters
+    ----------
+    ism : Ism
+    groups : tuple of str
+        Groups and sensors, as `names_of` returns them.
+    sectors : Sectors
+        Who fails together with whom, see `bounds.sectors`.
     """
     events = events_of(ism, groups, sectors)
     return events, fault_modes(events, ism.p_hmi, ism.p_unmonitored, ism.max_modes)

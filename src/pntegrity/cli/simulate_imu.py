@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +11,8 @@ import click
 
 if TYPE_CHECKING:
     from pntegrity.formats._acoustics import AcousticLog
+    from pntegrity.sensors.imu import ImuSpec
+    from pntegrity.simulate.log_imu import LogImu
 
 
 @click.command(
@@ -44,26 +48,41 @@ def command(
     end: str | None, out: Path,
 ) -> int:  # fmt: skip
     """Simulate from options."""
-    from dataclasses import replace
-
-    import numpy as np
-
     from pntegrity.errors import InputError
-    from pntegrity.formats.imu_table import write_imu
-    from pntegrity.physics.time import SECOND_NS, to_iso
-    from pntegrity.run import time_of
-    from pntegrity.sensors.imu_spec import read_imu_spec
-    from pntegrity.simulate.log_imu import BEFORE_S, simulated_imu
+    from pntegrity.formats.imu_write import write_imu
     from pntegrity.source_files import read_log
 
     if not out.name.endswith((".csv", ".csv.gz")):
         raise InputError("the table is CSV", path=out, hint="Let its name end in .csv or .csv.gz")
-    spec = read_imu_spec(imu_spec)
-    spec = replace(spec, rate_hz=rate_hz or spec.rate_hz)
+    spec = _spec(imu_spec, rate_hz)
     log = read_log(folder, layout)
+    made = _simulated(log, spec, seed, start, end, folder)
+    remark = f"simulated: {spec.name}, {spec.rate_hz:g} Hz, seed {seed}, on the track of {folder.name}"
+    write_imu(out, made.increments, remark)
+    _say(log, made)
+    click.echo(f"imu: {out}")
+    return 0
+
+
+def _spec(name: str, rate_hz: float | None) -> ImuSpec:
+    """Return a specification, with another rate where one is asked for."""
+    from pntegrity.sensors.imu_spec import read_imu_spec
+
+    spec = read_imu_spec(name)
+    return replace(spec, rate_hz=rate_hz or spec.rate_hz)
+
+
+def _simulated(
+    log: AcousticLog, spec: ImuSpec, seed: int, start: str | None, end: str | None, folder: Path
+) -> LogImu:
+    """Return the unit on the track of a log between two times."""
+    from pntegrity.errors import InputError
+    from pntegrity.run import time_of
+    from pntegrity.simulate.log_imu import simulated_imu
+
     first = _first_ns(log)
     try:
-        made = simulated_imu(log, spec, seed, time_of(start, first), time_of(end, first))
+        return simulated_imu(log, spec, seed, time_of(start, first), time_of(end, first))
     except InputError:
         raise
     except ValueError as error:
@@ -71,21 +90,25 @@ def command(
             f"no unit can be simulated: {error}", path=folder,
             hint="See --start and --end: the log must have positions and attitudes there",
         ) from None  # fmt: skip
+
+
+def _say(log: AcousticLog, made: LogImu) -> None:
+    """Say how long a run may be, how it begins, and what the reader of the log dropped."""
+    from pntegrity.physics.time import SECOND_NS, to_iso
+    from pntegrity.simulate.log_imu import BEFORE_S
+
     begin, stop = made.span_ns
     begin += round(BEFORE_S * SECOND_NS)
-    remark = f"simulated: {spec.name}, {spec.rate_hz:g} Hz, seed {seed}, on the track of {folder.name}"
-    write_imu(out, made.increments, remark)
+    first = _first_ns(log)
     since = [(t - first) / SECOND_NS for t in (begin, stop)]
     click.echo(
         f"{len(made.increments.t_ns)} increments; a run may go from {to_iso(begin)} to {to_iso(stop)}: "
         f'start = "{since[0]:.0f}", end = "{since[1]:.0f}"'
     )
-    there = _first_ns(log, begin)
-    click.echo(f"heading at its first epoch: heading_deg = {np.degrees(made.heading_rad(there)):.1f}")
+    heading = degrees(made.heading_rad(_first_ns(log, begin)))
+    click.echo(f"heading at its first epoch: heading_deg = {heading:.1f}")
     for note in log.notes:
         click.echo(f"note: {note}")
-    click.echo(f"imu: {out}")
-    return 0
 
 
 def _first_ns(log: AcousticLog, from_ns: int = 0) -> int:

@@ -60,7 +60,9 @@ class MultiSource(Usual):
 
     max_gap_s: ClassVar[float] = 600.0
     monitors: ClassVar[tuple[str, ...]] = ("source_separation", "sensor_window", "separation")
-    monitoring: ClassVar[dict[str, dict[str, Any]]] = {"separation": {"pairs": False, "levels": "observed"}}
+    monitoring: ClassVar[dict[str, dict[str, Any]]] = {
+        "source_separation": {"longest": 80}, "separation": {"pairs": False, "levels": "observed"},
+    }  # fmt: skip
     options: GnssOptions = field(default_factory=GnssOptions)
 
     @property

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from pntegrity.errors import InputError
+from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import FloatArray, Inertial
 
-__all__ = ["check_gravity", "quietest"]
+__all__ = ["check_gravity", "quietest", "without_hung"]
 
 #: What the norm of the specific force at rest may be, m/s^2: gravity of the Earth and 0.5 m/s^2 (50 mg) of
 #: bias, twice and a half what a consumer unit has.
@@ -21,6 +24,9 @@ QUIET_S = 2.0
 QUIET_RPS, FASTEST_RPS = 0.2, 15.0
 #: Gravity may be felt this far from upwards.
 MOST_TILT_DEG = 45.0
+#: A unit hangs where so many samples, for so long, s, repeat the one before; a table with a larger share of
+#: repeats is one of a unit at rest without noise.
+HUNG, HUNG_S, MOST_SAME = 20, 1.0, 0.5
 
 
 def check_gravity(whole: Inertial, path: Path, level: bool, turn: FloatArray) -> None:
@@ -103,3 +109,35 @@ def _felt(force: FloatArray) -> str:
     sign = "+" if force[k] > 0.0 else "-"
     points = "up" if sign == "+" else "down"
     return f"the file has it along {sign}{'xyz'[k]} ({force[k]:.1f} m/s2), whose axis points {points}"
+
+
+def without_hung(
+    t_ns: npt.NDArray[np.int64], values: Mapping[str, FloatArray], path: Path, notes: list[str]
+) -> tuple[npt.NDArray[np.int64], dict[str, FloatArray]]:
+    """Return the samples without those of a unit that hangs: all six values unchanged for long, in a table
+    that is otherwise alive.
+
+    Parameters
+    ----------
+    t_ns : ndarray of int64
+        Stamps, rising.
+    values : mapping of str to ndarray
+        By kind, shape (n, 3).
+    path : Path
+        The table, for the note.
+    notes : list of str
+        Gets what was dropped.
+    """
+    same = np.append(False, (np.diff(np.hstack(list(values.values())), axis=0) == 0.0).all(axis=1))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    hung = np.zeros(len(t_ns), dtype=bool)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        hung[begin:end] = end - begin >= HUNG and t_ns[end - 1] - t_ns[begin - 1] >= HUNG_S * SECOND_NS
+    if not hung.any() or same.mean() > MOST_SAME:
+        return t_ns, dict(values)
+    first = to_iso(int(t_ns[hung][0]))
+    notes.append(
+        f"{path.name}: {int(hung.sum())} lines dropped: all six values stay the same for a second or longer, "
+        f"first at {first}"
+    )
+    return t_ns[~hung], {k: v[~hung] for k, v in values.items()}

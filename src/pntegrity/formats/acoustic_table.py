@@ -18,6 +18,7 @@ from pntegrity.formats import truth as tables
 from pntegrity.formats._acoustics import with_repeats
 from pntegrity.formats._source import read_text
 from pntegrity.formats.imu_table import TIMES, seconds_to_ns
+from pntegrity.physics.time import to_iso
 from pntegrity.records import Observation
 
 __all__ = ["QUANTITIES", "read_acoustics"]
@@ -40,6 +41,9 @@ QUANTITIES: dict[str, tuple[str, Mapping[str, float], int]] = {
 BEACONS = ("beacon", "transponder", "sensor")
 ANGLES = ("A.bearing", "A.elevation")
 TURN_RAD = 2.0 * np.pi
+#: Rows that are above 0, and all rows whose usual size tells a wrong unit: the largest that one can be, SI.
+ABOVE_ZERO = ("R.time", "R.range")
+LARGEST = {"R.time": 60.0, "R.range": 1e5, "R.z": 1.2e4}
 HINT = "docs/formats/acoustics.md lists the columns"
 
 
@@ -107,10 +111,21 @@ def read_acoustics(
         sent = clock.sent(cells)
         by_time.setdefault(t, []).extend((*entry, sent) for entry in found)
     if bad:
-        told.append(f"{path.name}: {len(bad)} lines dropped: no time or no number, first line {bad[0]}")
+        told.append(
+            f"{path.name}: {len(bad)} lines dropped: no time or no usable number, first line {bad[0]}"
+        )
     if not any(by_time.values()):
-        raise InputError("no usable line", path=path, hint=HINT)
-    return with_repeats([_observation(source, t, by_time[t], told) for t in sorted(by_time)], told)
+        why = ": each is without a time or a usable number" if bad else ""
+        raise InputError(f"no usable line{why}", path=path, line=bad[0] if bad else None, hint=HINT)
+    _check_sizes([entry for entries in by_time.values() for entry in entries], columns, path)
+    twice = {t: len(rows) - len({r[0] for r in rows}) for t, rows in by_time.items()}
+    if any(twice.values()):
+        first = to_iso(min(t for t, n in twice.items() if n))
+        told.append(
+            f"{path.name}: {sum(twice.values())} rows dropped: one of the same name and time comes later, first "
+            f"at {first}"
+        )
+    return with_repeats([_observation(source, t, by_time[t]) for t in sorted(by_time)], told)
 
 
 class _Clock:
@@ -182,6 +197,8 @@ def _measured(
         value = _finite(cells[c.at])
         if c.rows in ANGLES:
             _check_angle(value, c, number, path)
+        if c.rows in ABOVE_ZERO and value <= 0.0:
+            raise ValueError(f"{value:g} is no time and no distance")
         key = f"{source}:R.{beacon}" if beacon and c.rows == "R.time" else f"{source}:{c.rows}"
         sigma = _finite(cells[c.sigma]) * c.factor if c.sigma is not None and cells[c.sigma] else np.nan
         out.append((key, value * c.factor, sigma, c.ways))
@@ -198,6 +215,25 @@ def _check_angle(value: float, column: _Column, number: int, path: Path) -> None
         )  # fmt: skip
 
 
+def _check_sizes(
+    entries: Sequence[tuple[str, float, float, int, int]], columns: Sequence[_Column], path: Path
+) -> None:
+    """Refuse columns whose usual value is larger than any in the unit declared."""
+    for c in columns:
+        kind = "time" if c.ways else c.rows.partition(".")[2]
+        values = [e[1] for e in entries if (e[3] == c.ways if c.ways else e[0].endswith(f":{c.rows}"))]
+        most = LARGEST.get(c.rows, np.inf)
+        usual = float(np.median(values)) if values else 0.0
+        if usual > most:
+            head, _, unit = c.name.rpartition("_")
+            units = ", ".join(u for u in QUANTITIES[head][1] if u != unit)
+            hint = f"If it is in another unit, call the column {head}_ and {units}" if units else HINT
+            raise InputError(
+                f"column {c.name!r}: a {kind} of {usual / c.factor:g} {unit} is usual there, more than {most:g} "
+                f"{'s' if kind == 'time' else 'm'}", path=path, hint=hint,
+            )  # fmt: skip
+
+
 def _finite(cell: str) -> float:
     value = float(cell)
     if not np.isfinite(value):
@@ -206,11 +242,9 @@ def _finite(cell: str) -> float:
 
 
 def _observation(
-    source: str, t_ns: int, entries: Sequence[tuple[str, float, float, int, int]], notes: list[str]
+    source: str, t_ns: int, entries: Sequence[tuple[str, float, float, int, int]]
 ) -> Observation:
     unique = {key: entry for key, *entry in entries}
-    if len(unique) < len(entries):
-        notes.append(f"{len(entries) - len(unique)} rows dropped: a row of the same name and time came later")
     y, sigma, ways, sent = (np.array(column) for column in zip(*unique.values(), strict=True))
     aux = {"ways": ways} if ways.any() else {}
     if (sent >= 0).all():

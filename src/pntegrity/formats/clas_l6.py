@@ -34,7 +34,6 @@ FRAME, PREAMBLE = 250, b"\x1a\xcf\xfc\x1d"
 SUBFRAME_S, SUBFRAME_FRAMES, WEEK_S = 5, 5, 604_800
 ALERT = 0x80
 """First bit after preamble, satellite number and message type: do not use."""
-HEIGHT_M = (-1_000.0, 20_000.0)
 
 
 def corrections_for(

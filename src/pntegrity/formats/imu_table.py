@@ -5,14 +5,11 @@ A sample is a rate valid over the interval that ends at its stamp, or the increm
 
 from __future__ import annotations
 
-import gzip
 import io
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,14 +17,13 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from pntegrity.errors import InputError
-from pntegrity.formats._imu_checks import check_gravity
+from pntegrity.formats._imu_checks import check_gravity, without_hung
 from pntegrity.formats._source import read_text
-from pntegrity.formats.atomic import atomically
 from pntegrity.formats.truth import NAMES
 from pntegrity.physics.time import SECOND_NS, from_iso, from_week_tow, to_iso
 from pntegrity.records import FloatArray, Inertial
 
-__all__ = ["GAP_FACTOR", "mounting", "read_imu", "seconds_to_ns", "write_imu"]
+__all__ = ["GAP_FACTOR", "mounting", "read_imu", "seconds_to_ns"]
 
 #: A step longer than this many times the usual one is a gap.
 GAP_FACTOR = 5.0
@@ -119,7 +115,7 @@ def read_imu(
     values = {
         k: _values(cells, [c for c in columns if c.kind == k]) for k in dict.fromkeys(c.kind for c in columns)
     }
-    t_ns, values = _in_order(t_ns, values, path, told)
+    t_ns, values = without_hung(*_in_order(t_ns, values, path, told), path, told)
     dt, reason = _steps(t_ns, told)
     angle, speed = _increments(values, dt, turn)
     whole = Inertial(t_ns - round(lag_s * SECOND_NS), dt, angle, speed, reason)
@@ -356,36 +352,3 @@ def _increments(
     angle = values["angle"] if "angle" in values else values["rate"] * dt[:, None]
     speed = values["speed"] if "speed" in values else values["force"] * dt[:, None]
     return angle @ turn.T, speed @ turn.T
-
-
-def write_imu(path: Path | str, imu: Inertial, remark: str = "") -> None:
-    """Write increments, body axes, as a table that `read_imu` reads; whole or not at all.
-
-    Parameters
-    ----------
-    path : Path or str
-        CSV; gzip where its name ends so.
-    imu : Inertial
-        Without gaps.
-    remark : str
-        Stands on top.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be written.
-    """
-    columns: dict[str, npt.NDArray[Any]] = {"t_ns": imu.t_ns}
-    for kind, unit, rows in (("dtheta", "rad", imu.angle_rad), ("dv", "mps", imu.velocity_mps)):
-        columns |= {f"{kind}_{axis}_{unit}": rows[:, i] for i, axis in enumerate("xyz")}
-    head = "".join(f"# {line}\n" for line in remark.splitlines()).encode("ascii", "replace")
-    with atomically(path) as temporary, open(temporary, "wb") as raw, _packed(path, raw) as file:
-        file.write(head)
-        pl.DataFrame(columns).write_csv(file, float_scientific=True, float_precision=10)
-
-
-def _packed(path: Path | str, raw: IO[bytes]) -> AbstractContextManager[IO[bytes]]:
-    """Return what packs a file whose name ends in .gz, the same bytes for the same content."""
-    if not str(path).endswith(".gz"):
-        return nullcontext(raw)
-    return gzip.GzipFile(fileobj=raw, mode="wb", filename="", mtime=0, compresslevel=4)  # type: ignore[return-value]

@@ -24,7 +24,7 @@ from pntegrity.kernels.windows import respond
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
-__all__ = ["ChangeTrial", "Passes", "Trial", "sensor_verification", "w_test"]
+__all__ = ["ChangeTrial", "Passes", "Trial", "w_test"]
 
 
 def w_test(nu: FloatArray, cov: FloatArray, p_fa: float) -> tuple[FloatArray, float]:
@@ -63,22 +63,6 @@ class Passes:
     def recovered(self) -> bool:
         """Whether it is back."""
         return self.count >= self.needed
-
-
-def sensor_verification(white: FloatArray, p_fa: float) -> tuple[FloatArray, float]:
-    """Return the sum of squares over a verification period, and what it may be.
-
-    Parameters
-    ----------
-    white : ndarray, shape (epochs * k,) or (epochs * k, runs)
-        Whitened innovations of the sensor in the verification subfilter.
-    p_fa : float
-
-    References
-    ----------
-    Eqs (16)-(19); of innovations before the rows are used, since residuals after it have another covariance.
-    """
-    return np.asarray((white * white).sum(axis=0)), chi2_threshold(p_fa, len(white))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from pntegrity.kernels.bank import LEAST
 from pntegrity.kernels.signatures import Signature, catalogue, is_rate, masks
 from pntegrity.kernels.source_test import Courses, WithoutSource, courses, responses
 from pntegrity.records import FloatArray, Update
-from pntegrity.states import group_of, sensor_of
+from pntegrity.states import group_of, sensor_of, source_of
 
 __all__ = ["Evidence", "looks", "sensors_in", "sensors_of", "sources_in"]
 
@@ -51,7 +51,7 @@ def sensors_of(keys: tuple[str, ...]) -> Mapping[str, tuple[str, ...]]:
 @lru_cache(maxsize=4096)
 def sources_in(signature: Signature) -> tuple[str, ...]:
     """Return the sources of a signature of `looks`."""
-    return tuple(dict.fromkeys(g.partition(".")[0] for g in signature.groups))
+    return tuple(dict.fromkeys(source_of(g) for g in signature.groups))
 
 
 @lru_cache(maxsize=4096)

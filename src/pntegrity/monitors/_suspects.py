@@ -8,7 +8,7 @@ from pntegrity.bounds.modes import Event
 from pntegrity.monitors._levels import Spread
 from pntegrity.monitors._members import Cast
 from pntegrity.records import FloatArray, Suspect, Update
-from pntegrity.states import group_of, sensor_of
+from pntegrity.states import group_of, sensor_of, source_of
 from pntegrity.verdicts import SEPARATION
 
 __all__ = ["suspects_of"]
@@ -32,7 +32,7 @@ def suspects_of(
         present = _present(cast.events[i], update)
         if present and np.isfinite(statistic[i]):
             size = float(np.abs(spread.apart[cast.single[i], :3]).max())
-            groups = tuple(g for g in present if "." not in g or g.partition(".")[0] not in present)
+            groups = tuple(g for g in present if "." not in g or source_of(g) not in present)
             found[i] = Suspect(groups, SEPARATION, size, update.t_ns, float(statistic[i])), frozenset(present)
     explains = [parts for s, parts in found.values() if s.statistic <= 1.0]
     return tuple(s for s, parts in found.values() if not any(p < parts for p in explains))[:MOST]

@@ -26,29 +26,13 @@ from pntegrity.monitors._levels import (
     still_born,
     why_untested,
 )
-from pntegrity.monitors._members import (
-    Cast,
-    Member,
-    Sources,
-    cast_of,
-    in_order,
-    nested,
-    sources,
-    used_rows,
-)
+from pntegrity.monitors._members import Cast, Member, Sources, cast_of, in_order, nested, sources, used_rows
 from pntegrity.monitors._options import check_test
 from pntegrity.monitors._sectors import azimuths, why_unplaced
 from pntegrity.monitors._suspects import suspects_of
 from pntegrity.monitors._window import no_redundancy, unavailable
-from pntegrity.records import (
-    FloatArray,
-    Layout,
-    State,
-    Status,
-    Update,
-    Verdict,
-    join_reasons,
-)
+from pntegrity.records import FloatArray, Layout, State, Status, Update, Verdict, join_reasons
+from pntegrity.states import source_of
 
 BoolArray = npt.NDArray[np.bool_]
 #: What a group that is out of view moves the position by, in standard deviations, to be remembered.
@@ -295,16 +279,14 @@ class Separation:
         if step.beside is None and update.R_accuracy is None:
             return None
         few = step.bank.take(step.sources.member[: len(used)], step.sources.origin)
-        return accompany(
-            step.beside, few, step.F, step.Q, update.H, update.R, update.R_accuracy, used
-        )  # fmt: skip
+        return accompany(step.beside, few, step.F, step.Q, update.H, update.R, update.R_accuracy, used)
 
     def _events(self, memory: SeparationMemory, groups: frozenset[str]) -> Member:
         """Return the names of the events behind groups that are left out."""
         if not groups:
             return ()
         events = cast_of(self.ism, memory.groups, False, False, memory.sectors).events
-        groups |= {g for g in memory.groups if g.partition(".")[0] in groups}
+        groups |= {g for g in memory.groups if source_of(g) in groups}
         whole = [e for e in events if frozenset(e.groups) == groups]
         chosen = whole[:1] or [e for e in events if e.groups and frozenset(e.groups) <= groups]
         return tuple(sorted(e.name for e in chosen))

@@ -29,7 +29,6 @@ METRES_PER_TECU_HZ2 = 40.3082e16
 """Delay of code, m, by 1 TECU (1e16 electrons per m^2), times the square of the frequency, Hz^2."""
 SENSOR = "atmosphere"
 Kind = Literal["ZWD", "ZTD"]
-Bools = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]
 
 

@@ -14,7 +14,7 @@ from pntegrity.kernels.signatures import family_of
 from pntegrity.physics.time import to_iso
 from pntegrity.pipeline import Outcome
 from pntegrity.records import Update, group_of
-from pntegrity.states import is_satellite, sensor_of
+from pntegrity.states import is_satellite, sensor_of, source_of
 
 __all__ = [
     "HELD", "column", "family_counts", "groups_in", "is_part_of", "is_vehicle",
@@ -88,7 +88,7 @@ def is_part_of(member: str, name: str) -> bool:
 @lru_cache(maxsize=4096)
 def family_counts(keys: tuple[str, ...]) -> Counter[str]:
     """Return how many groups of each family (constellation), or sensors of each source, some rows have."""
-    return Counter(family_of(m) if is_satellite(m) else m.partition(".")[0] for m in members_in(keys))
+    return Counter(family_of(m) if is_satellite(m) else source_of(m) for m in members_in(keys))
 
 
 def column(values: npt.ArrayLike) -> pl.Series:

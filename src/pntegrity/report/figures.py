@@ -323,6 +323,23 @@ def _underline(f: Frame, groups: list[str], visible: bool) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _stacked(f: Frame, family: str, count: FloatArray, tone: str) -> dict[str, Any]:
+    """Return how many of a family there were at each epoch, as a layer above those before it."""
+    return {
+        "type": "scatter", "mode": "lines", "x": "$t", "y": array(f.place(count)),
+        "name": safe(WORDS.get(family, family)), "stackgroup": "one",
+        "line": {"shape": "hv", "width": 0.6, "color": tone}, "fillcolor": f"{tone}-fill",
+        "hovertemplate": "%{y}",
+    }  # fmt: skip
+
+
+def _left_out_counts(f: Frame, table: pl.DataFrame) -> FloatArray:
+    """Return how many sensors of a vehicle, or satellites, were left out at each epoch, shape (n,)."""
+    if f.is_vehicle:
+        return np.array([len(members_in(o.update.spare_keys)) for o in f.outcomes], dtype=np.float64)
+    return np.array([len(e.split(",")) if e else 0 for e in table["excluded"].to_list()], dtype=np.float64)
+
+
 def used(f: Frame, table: pl.DataFrame) -> Figure:
     """Return the number of satellites used, stacked by constellation (or of sensors, by source), and how many
     were left out.
@@ -330,23 +347,8 @@ def used(f: Frame, table: pl.DataFrame) -> Figure:
     counts = [family_counts(o.update.keys) for o in f.outcomes]
     families = ordered({family for c in counts for family in c})
     tones = {c: f"--{ORDER[i % len(ORDER)]}" if f.is_vehicle else colour(c) for i, c in enumerate(families)}
-    data: list[dict[str, Any]] = []
-    for family in families:
-        count = np.array([c[family] for c in counts], dtype=np.float64)
-        name = WORDS.get(family, family)
-        data.append(
-            {
-                "type": "scatter", "mode": "lines", "x": "$t", "y": array(f.place(count)), "name": safe(name),
-                "stackgroup": "one",
-                "line": {"shape": "hv", "width": 0.6, "color": tones[family]},
-                "fillcolor": f"{tones[family]}-fill",
-                "hovertemplate": "%{y}",
-            }
-        )  # fmt: skip
-    if f.is_vehicle:
-        out = np.array([len(members_in(o.update.spare_keys)) for o in f.outcomes], dtype=np.float64)
-    else:
-        out = np.array([len(e.split(",")) if e else 0 for e in table["excluded"].to_list()], dtype=np.float64)
+    data = [_stacked(f, x, np.array([c[x] for c in counts], dtype=np.float64), tones[x]) for x in families]
+    out = _left_out_counts(f, table)
     if out.any():
         line = {"shape": "hv", "width": 2, "color": "--alert", "dash": "dot"}
         data.append(

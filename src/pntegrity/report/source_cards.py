@@ -13,6 +13,7 @@ from pntegrity.report.cards import escaped, plot, section, table_of
 from pntegrity.report.sentences import names
 from pntegrity.report.source_figures import LOOKS
 from pntegrity.report.units import duration, percent
+from pntegrity.states import source_of
 
 __all__ = ["levels_part", "risk_part", "sources_part", "words_of"]
 
@@ -26,8 +27,7 @@ _LANES = (
 )
 _LEVELS = (
     "What the monitors said before anybody was left out: which source, which of its sensors; and the trials "
-    "of "
-    "who was left out. Sources of which any could be at fault are ambiguous."
+    "of who was left out. Sources of which any could be at fault are ambiguous."
 )
 _TREE = (
     "Every combination of those used at the end that may be at fault together, and how probable it is that "
@@ -49,7 +49,7 @@ def sources_part(numbers: Mapping[str, Any]) -> str:
         )
         for s in numbers["sources"]["sources"]
     ]  # fmt: skip
-    titles = ("Source", "Sensors", "Epochs with it", "Used at", "Left out", "Came back", "Longest silence")
+    titles = ("Source", "Sensors", "Epochs with it", "Used at", "Left out", "Came back", "Longest interval")
     return section(
         "Sources and their sensors",
         plot("sources", _LANES).replace("<div", f"<ul class='legend lanes'>{swatches}</ul><div", 1)
@@ -106,7 +106,7 @@ def _verdict_row(same: Sequence[Mapping[str, Any]]) -> Row:
     v = same[0]
     level = {"source": "Source", "sensor": "Sensor", "none": "Alarm"}[v["level"]]
     whole = dict.fromkeys(n for v in same for n in v["left_out"])
-    gone = [n for n in whole if "." not in n or n.partition(".")[0] not in whole]
+    gone = [n for n in whole if "." not in n or source_of(n) not in whole]
     often = f" ({v['epochs']} epochs)" if v["epochs"] > 1 else ""
     said = f"{words_of(v)}, by {names([v['monitor'].upper() for v in same])}{often}"
     return v["from"], _when(v), level, said, f"{names(gone)} left out" if gone else "nobody left out"

@@ -24,6 +24,7 @@ from pntegrity.report.columns import HELD, is_part_of, is_vehicle, members_in
 from pntegrity.report.facts import RunFacts
 from pntegrity.report.risk import risk_numbers
 from pntegrity.report.story import Absence, absences
+from pntegrity.states import source_of
 
 __all__ = ["Doing", "Lane", "Spans", "coarse", "doings", "lanes", "source_numbers", "spans"]
 
@@ -69,7 +70,7 @@ def lanes(outcomes: Sequence[Outcome], given: Sequence[str] = ()) -> tuple[Lane,
     rows = dict.fromkeys(keys for o in outcomes for keys in (o.update.keys, o.update.spare_keys))
     members: dict[str, dict[str, None]] = {}
     for one in dict.fromkeys(m for keys in rows for m in members_in(keys)):
-        members.setdefault(one.partition(".")[0], {})[one] = None
+        members.setdefault(source_of(one), {})[one] = None
     out: list[Lane] = []
     for source, own in members.items():
         out.append(Lane(source, "", tuple(sorted(own))))
@@ -136,7 +137,7 @@ def _named(o: Outcome) -> dict[str, Doing]:
         if v.status == "alert":
             which = Doing.AMBIGUOUS if v.ambiguous else Doing.SUSPECTED
             for name in (n for names in _candidates(v) for n in names):
-                for each in {name, name.partition(".")[0]}:
+                for each in {name, source_of(name)}:
                     out[each] = max(which, out.get(each, Doing.SILENT))
     return out
 

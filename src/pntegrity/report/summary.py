@@ -62,12 +62,10 @@ def summary(
                    ``final`` (before and after exclusion): ``{"tests", "alarms", "rate", "worst_ratio"}``
                    (rate: alarms a test; worst_ratio: largest statistic over its threshold)
     exclusions     ``key``, ``monitor``, ``kind``, ``size``, ``from``, ``to`` (null: until the end),
-    ``onset``,
-                   ``ambiguous``, ``epochs`` (how many it was left out)
+                   ``onset``, ``ambiguous``, ``epochs`` (how many it was left out)
     readmissions   how many of these came back
     satellites     ``used_mean``, ``used_min``, ``systems``: ``{"G": {"mean", "min"}, ...}``; of a vehicle
-    with
-                   sources how many of these, and of each source its sensors
+                   with sources how many of these, and of each source its sensors
     position       null without truth; else ``e``, ``n``, ``u``, ``h``: ``{"rms_m", "p95_m", "max_m"}`` and
                    ``epochs``, the number of epochs compared
     sigma_m        mean standard deviation of ``e``, ``n``, ``u`` as the filter states it; null where unknown
@@ -203,17 +201,7 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
     if misled:
         return f"Misleading at {misled} of {n} epochs", f"{_beyond(numbers)}{cut}", "alert"
     if alerts:
-        what = (
-            "No exclusion could resolve the alarms there."
-            if numbers["exclusions"]
-            else "Monitors alarmed there."
-        )
-        limit = numbers["limit_alerts"]
-        if limit:
-            where = "there" if limit == alerts else f"at {limit} of them"
-            above = f"The protection level is above its alert limit {where}."
-            what = above if limit == alerts else f"{what} {above}"
-        detail = f"{what} {left_out}{_also(untested)}{cut}"
+        detail = f"{_alarmed(numbers)} {left_out}{_also(untested)}{cut}"
         return f"Do not trust {alerts} of {n} epochs", detail, "alert"
     if untested == n:
         return (
@@ -235,6 +223,18 @@ def headline(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
         f"Every epoch was tested by at least one monitor. {left_out}{cut}",
         "ok",
     )
+
+
+def _alarmed(numbers: Mapping[str, Any]) -> str:
+    """Return why there were alerts: alarms that stayed, levels above their alert limits, or both."""
+    alerts, limit = numbers["availability"]["alert"]["epochs"], numbers["limit_alerts"]
+    stayed = "No exclusion could resolve the alarms there."
+    what = stayed if numbers["exclusions"] else "Monitors alarmed there."
+    if not limit:
+        return what
+    if limit == alerts:
+        return "The protection level is above its alert limit there."
+    return f"{what} The protection level is above its alert limit at {limit} of them."
 
 
 def _screened(numbers: Mapping[str, Any]) -> str:

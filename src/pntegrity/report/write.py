@@ -24,6 +24,8 @@ SCREENING, DROPPED = "screening.parquet", "screening_dropped.csv"
 """Files that only runs have whose estimator detects faults of its own."""
 SENSORS, PROOFS = "sensors.parquet", "proofs.csv"
 """Files that only runs of vehicles with sources have."""
+Writers = dict[str, tuple[str, Callable[[Path], object]]]
+"""What a file is -> its name, and what writes it."""
 
 
 def entries(outcomes: Sequence[Outcome]) -> list[Entry]:
@@ -59,7 +61,7 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
     table = solution(outcomes, facts)
     numbers = summary(outcomes, facts, table)
     about = {"estimator": facts.estimator, "noise_model": facts.noise_name, "config": dict(facts.config)}
-    writers: dict[str, tuple[str, Callable[[Path], object]]] = {
+    writers: Writers = {
         "solution": ("solution.parquet", table.write_parquet),
         "verdicts": ("verdicts.parquet", verdicts(outcomes).write_parquet),
         "exclusions": ("exclusions.csv", exclusions(outcomes).write_csv),
@@ -73,13 +75,7 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
             lambda p: p.write_text(page(outcomes, facts, numbers, table), "utf-8", "replace"),
         ),
     }
-    screened = screening(outcomes)
-    if len(screened):
-        writers["screening"] = (SCREENING, screened.write_parquet)
-        writers["dropped"] = (DROPPED, dropped(outcomes).write_csv)
-    if is_vehicle(outcomes):
-        writers["sensors"] = (SENSORS, sensors(outcomes).write_parquet)
-        writers["proofs"] = (PROOFS, proofs(outcomes).write_csv)
+    writers |= _of_some_runs(outcomes)
     written = {file for file, _ in writers.values()}
     for file in {SCREENING, DROPPED, SENSORS, PROOFS} - written:
         _remove(folder / file)
@@ -89,6 +85,19 @@ def write_results(out: Path | str, outcomes: Sequence[Outcome], facts: RunFacts)
         with atomically(paths[name]) as temporary:
             write(temporary)
     return paths
+
+
+def _of_some_runs(outcomes: Sequence[Outcome]) -> Writers:
+    """Return what writes the files that only some runs have."""
+    writers: Writers = {}
+    screened = screening(outcomes)
+    if len(screened):
+        writers["screening"] = (SCREENING, screened.write_parquet)
+        writers["dropped"] = (DROPPED, dropped(outcomes).write_csv)
+    if is_vehicle(outcomes):
+        writers["sensors"] = (SENSORS, sensors(outcomes).write_parquet)
+        writers["proofs"] = (PROOFS, proofs(outcomes).write_csv)
+    return writers
 
 
 def _remove(path: Path) -> None:

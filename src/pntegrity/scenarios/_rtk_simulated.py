@@ -16,18 +16,17 @@ from pntegrity.bounds.ism import Ism
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators.ppp_rtk import PppRtk
 from pntegrity.formats.sp3 import read_orbits
-from pntegrity.monitors.separation import Separation
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.physics.orbits import satellite_states
 from pntegrity.physics.precise import precise_states
 from pntegrity.physics.time import from_iso
-from pntegrity.records import Bound, Epoch, FloatArray, State, Update
+from pntegrity.records import Epoch, FloatArray, State, Update
 from pntegrity.sensors.noise import PPP_RTK, PPP_RTK_PUBLISHED, NoiseModel
 from pntegrity.simulate.constellation import nominal_navigation
 from pntegrity.simulate.precise import PreciseReceiver, States
 from pntegrity.simulate.uncombined import Air, simulate_uncombined
 
-__all__ = ["Sky", "errors_m", "estimator", "facts", "isms", "levels", "model", "sky", "updates_of"]
+__all__ = ["Sky", "errors_m", "estimator", "facts", "isms", "model", "sky", "updates_of"]
 
 LONGEST_S = 7200
 CODES = {"G": "1C+2W", "C": "2I+6I"}
@@ -105,18 +104,6 @@ def updates_of(epochs: Sequence[Epoch], noise: NoiseModel) -> list[Update]:
     for epoch in epochs:
         out.append(one.correct(one.predict(state, epoch), epoch))
         state = out[-1].posterior
-    return out
-
-
-def levels(updates: Sequence[Update], ism: Ism) -> list[Bound]:
-    """Return the protection levels of each update: they do not depend on data."""
-    monitor = Separation(p_fa=ism.p_fa, ism=ism, pairs=False)
-    memory, out = monitor.start(), []
-    for update in updates:
-        verdict, memory = monitor.step(memory, update)
-        if verdict.bound is None:
-            raise RuntimeError(f"no protection level: {verdict.reason}")
-        out.append(verdict.bound)
     return out
 
 

@@ -36,8 +36,8 @@ __all__ = ["P_FA", "Ride", "Vessel", "missing", "vessel", "vessels"]
 
 #: Of each monitor, an epoch.
 P_FA = 1e-6
-#: The unit, its rate and the seed of its errors.
-SPEC, RATE_HZ, SEED = STIM300, 100.0, 1
+#: The unit and the seed of its errors.
+SPEC, SEED = STIM300, 1
 
 
 @cache

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pntegrity.bounds.ism import Ism
+from pntegrity.estimators.multi_source import MultiSource
 from pntegrity.exclusion import Policy
 from pntegrity.monitors.sensor_window import SensorWindow
 from pntegrity.monitors.separation import Separation
@@ -48,16 +49,16 @@ class Run:
 
     def excluded(self, from_s: float, to_s: float) -> list[tuple[float, str]]:
         """Return who was left out when, between two times."""
-        return [
-            (float(t), e.group)
-            for t, o in zip(self.t_s, self.outcomes, strict=True)
-            for e in o.exclusions
-            if from_s <= t < to_s
-        ]
+        return [(t, e.group) for t, o in self.between(from_s, to_s) for e in o.exclusions]
 
-    def back(self, name: str) -> list[float]:
-        """Return when somebody came back."""
-        return [float(t) for t, o in zip(self.t_s, self.outcomes, strict=True) if name in o.readmitted]
+    def between(self, from_s: float, to_s: float) -> list[tuple[float, Outcome]]:
+        """Return the outcomes between two times, with their times."""
+        return [(float(t), o) for t, o in zip(self.t_s, self.outcomes, strict=True) if from_s <= t < to_s]
+
+    def first_with(self, keys: frozenset[str], from_s: float) -> float:
+        """Return when all of some rows are used from a time on; inf: never."""
+        times = (t for t, o in self.between(from_s, np.inf) if keys <= set(o.update.keys))
+        return next(times, float("inf"))
 
     def rmse_m(self, from_s: float, to_s: float) -> FloatArray:
         """Return the errors' RMS between two times, north, east, down."""
@@ -84,7 +85,8 @@ def monitors_of(study: Mapping[str, Any], variant: Literal["exact", "published"]
     p = study["experiment"]
     ism = Ism.from_table({"sources": p["p_prior"], "p_hmi": p["p_hmi"], "split": study["levels"]["split"]})
     return [
-        SourceSeparation(p["p_fa"], variant), SensorWindow(study["sensors"]["p_fa"], variant),
+        SourceSeparation(p["p_fa"], variant, **MultiSource.monitoring["source_separation"]),
+        SensorWindow(study["sensors"]["p_fa"], variant),
         Separation(1e-6, ism=ism, pairs=False, levels="observed"),
     ]  # fmt: skip
 

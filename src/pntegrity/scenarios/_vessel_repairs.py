@@ -20,7 +20,6 @@ from pntegrity.states import group_of, sensor_of
 
 __all__ = ["Recovery", "isolated_error", "recovery", "sensor_delays"]
 
-BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 #: Epochs before the estimated onset from which on the buffer is run again.
 EARLIER = 4

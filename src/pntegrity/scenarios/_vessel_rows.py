@@ -15,6 +15,7 @@ from pntegrity.scenarios._vessel_epoch import EPOCHS, first_epoch_power, later_p
 from pntegrity.scenarios._vessel_repairs import Recovery, recovery, sensor_delays
 from pntegrity.scenarios._vessel_runs import Case, Detected, Study
 from pntegrity.scenarios.reproduce_sraime_spp import Row, row
+from pntegrity.states import source_of
 
 __all__ = [
     "doubt_words", "figure_13", "finite", "half_degree", "level_rows", "rounded", "sensor_rows", "sizes",
@@ -31,7 +32,7 @@ def sizes(study: Study, sensors: Sequence[str]) -> FloatArray:
     p, unit = study.facts["recovery"], study.vessel.unit
     angle, known = p["usbl_deg"] * unit("deg"), {"usbl.range": p["usbl_s"] * unit("s")}
     known |= {"gnss": p["gnss_m"], "lbl": p["lbl_s"] * unit("s")}
-    return np.array([known.get(s, known.get(s.partition(".")[0], angle)) for s in sensors])
+    return np.array([known.get(s, known.get(source_of(s), angle)) for s in sensors])
 
 
 def sensor_rows(study: Study) -> Iterator[Row]:

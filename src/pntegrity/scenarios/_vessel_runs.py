@@ -101,6 +101,41 @@ class Detected:
     certain: tuple[tuple[str, ...], ...]
 
 
+class _Told:
+    """What has become of each run so far: the fields of `Detected`."""
+
+    def __init__(self, runs: int) -> None:
+        self.alarm_s, self.named_s = np.full(runs, np.inf), np.full(runs, np.inf)
+        self.sources: list[tuple[str, ...]] = [()] * runs
+        self.sensors: list[tuple[str, ...]] = [()] * runs
+        self.ambiguous, self.onset = np.zeros(runs, dtype=bool), np.zeros(runs, dtype=np.intp)
+        self.rivals: list[tuple[tuple[str, ...], ...]] = [()] * runs
+        self.certain: list[tuple[str, ...]] = [()] * runs
+
+    @property
+    def open(self) -> BoolArray:
+        """Runs in which nobody is named with certainty."""
+        return np.array([not names for names in self.certain])
+
+    def hear(self, r: int, since_s: float, candidates: Sequence[Explanation]) -> None:
+        """Take the candidates of a run at a time after the fault's begin."""
+        first = first_of_all(candidates)
+        if np.isinf(self.alarm_s[r]):
+            self.alarm_s[r], self.ambiguous[r] = since_s, len(candidates) != 1
+        if first is not None and np.isinf(self.named_s[r]):
+            self.named_s[r], self.sources[r] = since_s, first.names
+            self.rivals[r] = tuple(e.names for e in candidates[1:])
+        if len(candidates) == 1:
+            self.certain[r] = candidates[0].names
+
+    def detected(self, named: IntArray) -> Detected:
+        """Return it; `named`: the epochs of `named_s`."""
+        return Detected(
+            self.alarm_s, self.named_s, tuple(self.sources), tuple(self.sensors), self.ambiguous, self.onset,
+            named, tuple(self.rivals), tuple(self.certain),
+        )  # fmt: skip
+
+
 class Study:
     """The linear study with one parameter set.
 
@@ -239,34 +274,16 @@ class Study:
         """Return what becomes of the runs of a fault: alarms count until it ends, others are false."""
         full = self.full(faults)
         white = self.white(full.nu)
-        alarm = self.statistic(white) > 1.0
-        alarm_s, named_s = np.full(self.runs, np.inf), np.full(self.runs, np.inf)
-        sources: list[tuple[str, ...]] = [()] * self.runs
-        sensors: list[tuple[str, ...]] = [()] * self.runs
-        ambiguous, onset = np.zeros(self.runs, dtype=bool), np.zeros(self.runs, dtype=np.intp)
-        rivals: list[tuple[tuple[str, ...], ...]] = [()] * self.runs
-        certain: list[tuple[str, ...]] = [()] * self.runs
+        alarm, told = self.statistic(white) > 1.0, _Told(self.runs)
         for k in np.flatnonzero((self.t_s >= from_s) & (self.t_s < to_s)):
-            runs = np.flatnonzero(alarm[k] & [not sets for sets in certain])
+            since_s, runs = self.t_s[k] - from_s, np.flatnonzero(alarm[k] & told.open)
             if not len(runs):
                 continue
-            open_ = runs[np.isinf(named_s[runs])]
             for r, candidates in zip(runs, self.identified(int(k), white[:, :, runs]), strict=True):
-                first = first_of_all(candidates)
-                if np.isinf(alarm_s[r]):
-                    alarm_s[r], ambiguous[r] = self.t_s[k] - from_s, len(candidates) != 1
-                if first is not None and np.isinf(named_s[r]):
-                    named_s[r], sources[r] = self.t_s[k] - from_s, first.names
-                    rivals[r] = tuple(e.names for e in candidates[1:])
-                if len(candidates) == 1:
-                    certain[r] = candidates[0].names
-            if len(open_):
-                self._locate(int(k), white, open_, named_s, sources, sensors, onset, from_s)
-        named = np.searchsorted(self.t_s, np.where(np.isfinite(named_s), from_s + named_s, 0.0) - 1e-6)
-        return Detected(
-            alarm_s, named_s, tuple(sources), tuple(sensors), ambiguous, onset, named, tuple(rivals),
-            tuple(certain),
-        )  # fmt: skip
+                told.hear(int(r), since_s, candidates)
+            self._locate(int(k), white, told, np.flatnonzero(told.named_s == since_s))
+        named_s = np.where(np.isfinite(told.named_s), from_s + told.named_s, 0.0)
+        return told.detected(np.searchsorted(self.t_s, named_s - 1e-6))
 
     def named_within(self, faults: FloatArray, from_s: float, within_s: float) -> list[list[tuple[str, ...]]]:
         """Return all sets of sources that are named in each run until some time after a fault's begin."""
@@ -279,23 +296,19 @@ class Study:
                 out[r] += [found[0].names] if len(found) == 1 else []
         return out
 
-    def _locate(
-        self, k: int, white: FloatArray, open_: IntArray, named_s: FloatArray, sources: list[tuple[str, ...]],
-        sensors: list[tuple[str, ...]], onset: IntArray, from_s: float,
-    ) -> None:  # fmt: skip
-        """Fill in sensors and onset of the runs that were named at this epoch."""
-        now = open_[named_s[open_] == self.t_s[k] - from_s]
+    def _locate(self, k: int, white: FloatArray, told: _Told, now: IntArray) -> None:
+        """Fill in sensors and onset of the runs in which somebody was isolated now."""
         evidence = self.evidence_at(k)
-        for names in sorted({sources[r] for r in now}):
-            own = np.array([r for r in now if sources[r] == names], dtype=np.intp)
+        for names in sorted({told.sources[r] for r in now}):
+            own = np.array([r for r in now if told.sources[r] == names], dtype=np.intp)
             y = _window(evidence, k, white[:, :, own])
             explained = evidence.explained(y)
             for i, r in enumerate(own):
                 best = evidence.best(explained[:, i], names)
-                onset[r] = k + 1 - len(evidence.window) + int(evidence.faults[1].onset[best])
+                told.onset[r] = k + 1 - len(evidence.window) + int(evidence.faults[1].onset[best])
             for source in names:
                 for r, found in zip(own, self.sensors(k, white[:, :, own], source), strict=True):
-                    sensors[r] = (*sensors[r], *(f"{source}.{s}" for s in found))
+                    told.sensors[r] += tuple(f"{source}.{s}" for s in found)
 
 
 def _window(evidence: Evidence, k: int, white: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from pntegrity.evaluate.intervals import binomial_interval
 from pntegrity.scenarios._real_logs import Row, row, skipped
 from pntegrity.scenarios._vehicle_logs import Ride, Vessel, missing, vessel, vessels
+from pntegrity.states import source_of
 
 __all__ = ["CAMPAIGN", "Case", "cases", "evidence"]
 
@@ -51,7 +52,7 @@ class Case:
     @property
     def source(self) -> str:
         """The source at fault."""
-        return self.name.partition(".")[0]
+        return source_of(self.name)
 
     @property
     def first(self) -> tuple[float, str] | None:
@@ -61,7 +62,7 @@ class Case:
     @property
     def delay_s(self) -> float | None:
         """From the onset until the source at fault, or a part of it, is left out; None: never."""
-        found = (s for s, n in self.ride.left if n.partition(".")[0] == self.source and s >= ONSET_S)
+        found = (s for s, n in self.ride.left if source_of(n) == self.source and s >= ONSET_S)
         return next((s - ONSET_S for s in found if s < END_S), None)
 
     @property
@@ -78,17 +79,17 @@ class Case:
     @cached_property
     def healthy_out(self) -> bool:
         """Whether a healthy source, or a sensor of one, was ever left out."""
-        return any(n.partition(".")[0] != self.source for _, n in self.ride.left)
+        return any(source_of(n) != self.source for _, n in self.ride.left)
 
     @cached_property
     def early(self) -> bool:
         """Whether it came back while the fault was there."""
-        return any(n.partition(".")[0] == self.source and ONSET_S < s < END_S for s, n in self.ride.back)
+        return any(source_of(n) == self.source and ONSET_S < s < END_S for s, n in self.ride.back)
 
     @property
     def back_s(self) -> float | None:
         """From the end of the fault until it came back for good."""
-        after = [s for s, n in self.ride.back if n.partition(".")[0] == self.source and s >= END_S]
+        after = [s for s, n in self.ride.back if source_of(n) == self.source and s >= END_S]
         return after[-1] - END_S if after and self._is_whole else None
 
     @property

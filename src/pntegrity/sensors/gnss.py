@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from pntegrity.kernels.rotations import skew
 from pntegrity.physics.signals import WORDS
@@ -138,7 +139,7 @@ class Gnss:
         if not code.keys and not rate.keys:
             reasons = (*reasons, f"no satellite above the mask of {self.mask_deg:g} deg")
         return SourceRows(
-            code.keys + rate.keys, np.concatenate([code.nu, rate.nu]), H, _apart(code.R, rate.R),
+            code.keys + rate.keys, np.concatenate([code.nu, rate.nu]), H, block_diag(code.R, rate.R),
             "; ".join(dict.fromkeys(reasons)),
         )  # fmt: skip
 
@@ -157,7 +158,7 @@ class Gnss:
         cov = self._spread(sky, fix)
         if fix.velocity_mps is None or fix.velocity_cov is None:
             return fix.position_m, None, cov
-        return fix.position_m, fix.velocity_mps, _apart(cov, fix.velocity_cov)
+        return fix.position_m, fix.velocity_mps, block_diag(cov, fix.velocity_cov)
 
     def _spread(self, sky: Epoch, fix: Fix) -> FloatArray:
         """Return the covariance of a least-squares position with a clock a constellation."""
@@ -209,14 +210,6 @@ def _centred(nu: FloatArray, groups: npt.NDArray[np.str_]) -> FloatArray:
     out = nu.copy()
     for group in np.unique(groups):
         out[groups == group] -= np.median(nu[groups == group])
-    return out
-
-
-def _apart(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return the covariance of two independent parts."""
-    n, m = len(A), len(B)
-    out = np.zeros((n + m, n + m))
-    out[:n, :n], out[n:, n:] = A, B
     return out
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pntegrity.physics.atmosphere import klobuchar_m, troposphere_m
 from pntegrity.physics.frames import elevation_azimuth
 from pntegrity.physics.tables import Klobuchar
-from pntegrity.records import Epoch, FloatArray, Observation
+from pntegrity.records import Epoch, FloatArray, Observation, group_of
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.sensors.ranges import geometry, range_rate
 
@@ -77,7 +77,16 @@ class Rows:
 
 
 def code_rows(epoch: Epoch, position_m: FloatArray, options: SkyOptions) -> Rows:
-    """Return the code rows above the mask; below `SURFACE_M` there is no mask and no atmosphere yet."""
+    """Return the code rows above the mask; below `SURFACE_M` there is no mask and no atmosphere yet.
+
+    Parameters
+    ----------
+    epoch : Epoch
+        With the observation ``"code"``, m; without it there are no rows.
+    position_m : ndarray, shape (3,)
+        Of the antenna, ECEF.
+    options : SkyOptions
+    """
     o = sensor(epoch, "code")
     g = geometry(position_m, o.aux["sv_pos_m"])
     el, az, on_ground = elevations(position_m, g.los)
@@ -93,7 +102,16 @@ def code_rows(epoch: Epoch, position_m: FloatArray, options: SkyOptions) -> Rows
 
 
 def rate_rows(epoch: Epoch, position_m: FloatArray, velocity_mps: FloatArray, options: SkyOptions) -> Rows:
-    """Return the range-rate rows above the mask."""
+    """Return the range-rate rows above the mask.
+
+    Parameters
+    ----------
+    epoch : Epoch
+        With the observation ``"doppler"``, range rates in m/s; without it there are no rows.
+    position_m, velocity_mps : ndarray, shape (3,)
+        Of the antenna, ECEF.
+    options : SkyOptions
+    """
     o = sensor(epoch, "doppler")
     if not options.doppler:
         o = o.select(np.zeros(len(o.keys), dtype=bool))
@@ -153,4 +171,4 @@ def without(rows: Rows, exclude: frozenset[str]) -> Rows:
     """Return the rows but for those of some groups."""
     if not exclude:
         return rows
-    return rows.select(np.array([k.partition(":")[0] not in exclude for k in rows.keys], dtype=bool))
+    return rows.select(np.array([group_of(k) not in exclude for k in rows.keys], dtype=bool))

@@ -27,7 +27,15 @@ class Geometry:
 
 
 def geometry(position_m: FloatArray, sv_pos_m: FloatArray) -> Geometry:
-    """Return range and line of sight from a position (3,) to satellites (n, 3)."""
+    """Return ranges, the Earth's turn while the signal travels included, and lines of sight.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (3,)
+        Of the antenna, ECEF.
+    sv_pos_m : ndarray, shape (n, 3)
+        Of the satellites when they transmitted, ECEF.
+    """
     d = sv_pos_m - position_m
     distance = np.sqrt(np.einsum("ij,ij->i", d, d))
     sagnac = EARTH_RATE_RADPS / C_MPS * (sv_pos_m[:, 0] * position_m[1] - sv_pos_m[:, 1] * position_m[0])
@@ -35,13 +43,20 @@ def geometry(position_m: FloatArray, sv_pos_m: FloatArray) -> Geometry:
 
 
 def range_rate(
-    velocity_mps: FloatArray,
-    position_m: FloatArray,
-    sv_pos_m: FloatArray,
-    sv_vel_mps: FloatArray,
+    velocity_mps: FloatArray, position_m: FloatArray, sv_pos_m: FloatArray, sv_vel_mps: FloatArray,
     los: FloatArray,
-) -> FloatArray:
-    """Return the geometric range rate (n,), m/s, positive when the range grows."""
+) -> FloatArray:  # fmt: skip
+    """Return the geometric range rates (n,), m/s, positive when the range grows.
+
+    Parameters
+    ----------
+    velocity_mps, position_m : ndarray, shape (3,)
+        Of the antenna, ECEF.
+    sv_pos_m, sv_vel_mps : ndarray, shape (n, 3)
+        Of the satellites, ECEF, m and m/s.
+    los : ndarray, shape (n, 3)
+        Unit vectors to the satellites.
+    """
     radial = np.einsum("ij,ij->i", sv_vel_mps - velocity_mps, los)
     sagnac = EARTH_RATE_RADPS / C_MPS * (
         sv_vel_mps[:, 0] * position_m[1] + sv_pos_m[:, 0] * velocity_mps[1]

@@ -73,7 +73,14 @@ def _no_fix(x: FloatArray, reason: str) -> Fix:
 
 
 def track(epochs: Sequence[Epoch], options: SkyOptions) -> FloatArray:
-    """Return least-squares positions of code, shape (n, 3), nan where there is none."""
+    """Return least-squares positions of code, m, ECEF, shape (n, 3), nan where there is none.
+
+    Parameters
+    ----------
+    epochs : sequence of Epoch, length n
+        In order of time: each begins at the position before it.
+    options : SkyOptions
+    """
     out, guess = np.full((len(epochs), 3), np.nan), np.zeros(3)
     for i, epoch in enumerate(epochs):
         fix = snapshot(epoch, options, guess)

@@ -14,21 +14,14 @@ import numpy as np
 
 from pntegrity.kernels.signatures import is_rate
 from pntegrity.physics.frames import enu_rotation
-from pntegrity.records import Epoch, FloatArray, Observation, group_of
+from pntegrity.records import Epoch, FloatArray, Observation
 from pntegrity.simulate._fault import PLACE, TOWARDS, Fault
 from pntegrity.simulate._fault_text import GRAMMAR, describe, parse_fault
 from pntegrity.states import is_satellite, sensor_of
 
 __all__ = [
-    "GRAMMAR",
-    "Fault",
-    "apply_faults",
-    "describe",
-    "groups_at_fault",
-    "parse_fault",
-    "signature",
-    "touches_any",
-]
+    "GRAMMAR", "Fault", "apply_faults", "describe", "parse_fault", "signature", "touches_any", "units_of",
+]  # fmt: skip
 
 
 def signature(
@@ -118,6 +111,14 @@ def touches_any(fault: Fault, epochs: Sequence[Epoch]) -> bool:
     )
 
 
+def units_of(fault: Fault, epochs: Sequence[Epoch]) -> tuple[str, ...]:
+    """Return the units that a fault could be in, m, s or rad, to fall on rows of the epochs; its own is not
+    asked for.
+    """
+    others = (replace(fault, unit=unit) for unit in ("m", "s", "rad") if unit != fault.unit)
+    return tuple(other.unit for other in others if touches_any(other, epochs))
+
+
 def apply_faults(
     epochs: Iterable[Epoch], faults: Sequence[Fault], first_ns: int | None = None
 ) -> list[Epoch]:
@@ -150,9 +151,3 @@ def _faulty(epoch: Epoch, faults: Sequence[Fault], first_ns: int) -> Epoch:
         changed |= bool(here.any())
         observations.append(replace(o, y=np.where(here, o.y + shift, o.y)) if here.any() else o)
     return replace(epoch, observations=tuple(observations)) if changed else epoch
-
-
-def groups_at_fault(faults: Sequence[Fault], keys: Iterable[str], t_ns: int, first_ns: int) -> frozenset[str]:
-    """Return the groups of `keys` that a fault is present on at a time."""
-    groups = {group_of(k) for k in keys}
-    return frozenset(g for f in faults if f.active(t_ns, first_ns) for g in f.hits(groups))

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.formats.atomic import write_text
-from pntegrity.formats.imu_table import write_imu
+from pntegrity.formats.imu_write import write_imu
 from pntegrity.formats.rinex_write import write_observations
 from pntegrity.kernels.rotations import attitude_angles
 from pntegrity.physics.frames import enu_rotations

@@ -69,7 +69,14 @@ def cruise(
 
 
 def pose_at(motion: Motion, t_ns: int) -> Pose:
-    """Return the true pose at a time, with the way there."""
+    """Return the true pose at a time, with the way there: up to `TRACK_S` of it, where the motion has it.
+
+    Parameters
+    ----------
+    motion : Motion
+    t_ns : int
+        Within the motion's span.
+    """
     first = max(t_ns - round(TRACK_S * 1e9), motion.span_ns[0])
     times = np.unique(np.linspace(first, t_ns, round(TRACK_S * TRACK_HZ) + 1).round().astype(np.int64))
     position, velocity, C = motion.at(times)
