@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from pntegrity.exclusion import Policy, Standing
 from pntegrity.kernels.linear import inverse_definite
-from pntegrity.kernels.recovery import Trial, w_test
+from pntegrity.kernels.recovery import ChangeTrial, Trial, w_test
+from pntegrity.kernels.source_test import Gains
 from pntegrity.protocols import Estimator
 from pntegrity.records import Epoch, FloatArray, State, Update
 from pntegrity.states import is_left_out, names_sensor
@@ -30,6 +31,8 @@ LEAST_SIGMA = 6.0
 STILL = 0.5
 #: A trial is worth while where each estimated bias may be so many standard deviations.
 ENOUGH = 2.0
+#: The end of a fault is proved with so many epochs before it, and where it is seen with this probability.
+LEAST_BEFORE, MOST_BEFORE, WORTH = 4, 20, 0.5
 #: Each trial is this much longer than the one before.
 LONGER = 1.5
 
@@ -103,7 +106,8 @@ def prove(
 
     Proved is that no row is off by half of the largest residual that was seen of it; nor, of a sensor that
     was named, by its fault as it was when it was left out; nor, of a source that went as a whole, by 6
-    standard deviations of the residual, where that is more.
+    standard deviations of the residual, where that is more. Where the state may have followed the fault of a
+    sensor, so that no window shows its size, it is proved instead that a bias of that size has ended.
 
     Parameters
     ----------
@@ -116,18 +120,64 @@ def prove(
         `p_readmit` and `p_refuse`.
     """
     since_ns = standing.clean_ns if standing.clean_ns is not None else history[-1].epoch.t_ns
-    window = [p for p in history if p.epoch.t_ns >= since_ns]
-    updates = _run_again(estimator, window, name)
-    t_ns, out = window[-1].epoch.t_ns, frozenset([name])
-    keys = tuple(dict.fromkeys(k for u in updates for k in u.keys if is_left_out(k, out)))
-    if not keys or any(u.is_start for u in updates):
-        return Proof(name, t_ns, len(window), False, reason="nothing was measured")
-    rows = tuple(_places(u, keys) for u in updates)
-    trial = Trial(
-        tuple((u.F, u.H, u.L, u.K) for u in updates), rows, _sizes(updates, keys, name, standing),
-        policy.p_readmit, policy.p_refuse, ENOUGH if len(window) >= policy.history else -np.inf,
+    first = next(i for i, p in enumerate(history) if p.epoch.t_ns >= since_ns)
+    window = history[first:]
+    proof = Proof(name, window[-1].epoch.t_ns, len(window), False)
+    run = _Run.of(estimator, window, name, standing)
+    if run is None:
+        return replace(proof, reason="nothing was measured")
+    least = ENOUGH if len(window) >= policy.history else -np.inf
+    trial = Trial(run.gains, run.rows, run.size, policy.p_readmit, policy.p_refuse, least)
+    found = _proof(trial, run.white, proof)
+    if not found.reason or not standing.size:
+        return found
+    before = _before(history[:first], name)
+    both = _Run.of(estimator, [*before, *window], name, standing) if len(before) >= LEAST_BEFORE else None
+    return found if both is None else _by_change(both, len(before), policy, found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """The filter with the rows of who was left out: gains, where these rows are, and what must be proved."""
+
+    gains: tuple[Gains, ...]
+    rows: tuple[npt.NDArray[np.intp], ...]
+    size: FloatArray
+    white: FloatArray
+
+    @staticmethod
+    def of(estimator: Estimator, window: Sequence[Past], name: str, standing: Standing) -> _Run | None:
+        """Return the run over some epochs; None where nothing is measured, or the filter starts in them."""
+        updates, out = _run_again(estimator, window, name), frozenset([name])
+        keys = tuple(dict.fromkeys(k for u in updates for k in u.keys if is_left_out(k, out)))
+        if not keys or any(u.is_start for u in updates):
+            return None
+        return _Run(
+            tuple((u.F, u.H, u.L, u.K) for u in updates), tuple(_places(u, keys) for u in updates),
+            _sizes(updates, keys, name, standing), np.concatenate([u.white for u in updates])[:, None],
+        )  # fmt: skip
+
+
+def _before(past: Sequence[Past], name: str) -> list[Past]:
+    """Return the last epochs without somebody, as many as have `MOST_BEFORE` of their rows."""
+    out, kept, count = frozenset([name]), [], 0
+    for p in reversed(past):
+        if name not in p.excluded or count >= MOST_BEFORE:
+            break
+        kept.append(p)
+        count += any(is_left_out(k, out) for o in p.epoch.observations for k in o.keys)
+    return kept[::-1] if count >= LEAST_BEFORE else []
+
+
+def _by_change(run: _Run, before: int, policy: Policy, proof: Proof) -> Proof:
+    """Return what the end of a fault shows; as it was where that is no more."""
+    trial = ChangeTrial(run.gains, run.rows, before, run.size, policy.p_readmit, policy.p_refuse)
+    if trial.power.min() < WORTH:
+        return proof
+    return replace(
+        proof, passed=bool(trial.passed(run.white)[0]), statistic=float(trial.estimates(run.white).max()),
+        limit=trial.limit, readmission=float(trial.readmission.max()), reason="",
     )  # fmt: skip
-    return _proof(trial, updates, Proof(name, t_ns, len(window), False))
 
 
 def _run_again(estimator: Estimator, window: Sequence[Past], name: str) -> list[Update]:
@@ -158,8 +208,7 @@ def _sizes(updates: Sequence[Update], keys: Sequence[str], name: str, standing: 
     return np.array([max(STILL * largest.get(k, 0.0), low) for k, low in zip(keys, least, strict=True)])
 
 
-def _proof(trial: Trial, updates: Sequence[Update], proof: Proof) -> Proof:
-    white = np.concatenate([u.white for u in updates])[:, None]
+def _proof(trial: Trial, white: FloatArray, proof: Proof) -> Proof:
     limits, each = trial.limits, trial.estimates(white)[:, 0]
     worst = int(np.argmax(each - limits))
     enough = bool(limits.min() >= ENOUGH)

@@ -146,7 +146,9 @@ def _csv(kind: str, table: Table, notes: list[str]) -> SourceFile:
     """Read a table of one source's measurements."""
     name, path, origin = str(table.get("name", kind)), Path(table["file"]), table.get("origin_ns")
     if kind == "fix":
-        fixes = [e.observations[0] for e in read_fixes(path, origin_ns=origin, notes=notes)]
+        told: list[str] = []
+        fixes = [e.observations[0] for e in read_fixes(path, origin_ns=origin, notes=told)]
+        notes += [t if t.startswith(path.name) else f"{path.name}: {t}" for t in told]
         return SourceFile({}, with_repeats([_named(o, name) for o in fixes], notes))
     beacons = table.get("beacons")
     known = tuple(beacons) if beacons else None

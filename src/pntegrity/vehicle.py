@@ -196,17 +196,19 @@ def check_clocks(
         file = next((Path(p) for key in ("file", "obs") for p in listed(table.get(key))), path)
         check_in_common((name, times[name]), ("the IMU", imu_ns), file)
         _told_late(f"source {name}", times[name], epochs, notes)
-    _told_late("the IMU", imu_ns, epochs, notes)
+    _told_late("the IMU", imu_ns, epochs, notes, SILENT_S)
     _told_shifted(times, notes)
 
 
-def _told_late(who: str, times: Times, epochs: Sequence[Epoch], notes: list[str]) -> None:
-    """Note what begins late or ends early; and what does so as if its stamps were UTC."""
+def _told_late(
+    who: str, times: Times, epochs: Sequence[Epoch], notes: list[str], least_s: float = LATE_S
+) -> None:
+    """Note what begins later, or ends earlier, by more than some seconds."""
     late = (int(times.min()) - epochs[0].t_ns) * 1e-9
     early = (epochs[-1].t_ns - int(times.max())) * 1e-9
-    if late > LATE_S:
+    if late > least_s:
         notes.append(f"{who} begins at {to_iso(int(times.min()))}, {late:.0f} s late")
-    if early > LATE_S:
+    if early > least_s:
         notes.append(f"{who} ends at {to_iso(int(times.max()))}, {early:.0f} s early")
 
 
@@ -216,8 +218,8 @@ def _told_shifted(times: Mapping[str, Times], notes: list[str]) -> None:
     for name, off in zip(times, (spans - np.median(spans, axis=0)) * 1e-9, strict=True):
         if (np.abs(np.abs(off) - UTC_S) < NEARLY_S).all() and off[0] * off[1] > 0.0:
             notes.append(
-                f"all times of source {name} are {UTC_S:g} s {'after' if off[0] > 0.0 else 'before'} those of the "
-                "others, which is what UTC and GPS time differ by: see its stamps"
+                f"all times of source {name} are {UTC_S:g} s {'after' if off[0] > 0.0 else 'before'} those "
+                "of the others, which is what UTC and GPS time differ by: see its stamps"
             )
 
 

@@ -157,6 +157,7 @@ def test_files_that_cannot_be_used_are_refused_with_source_and_file(broken, file
         (("sigma_m = 2.5", 'lever_arm_m = "1,2,3"'), ("source gnss", "`lever_arm_m`", "three numbers")),
         (('type = "usbl"', 'type = "noise"'), ("`type` must be one of depth, dvl, fix, gnss, lbl, usbl",)),
         (('name = "usbl"', 'name = "lbl"'), ("two sources", "'lbl'")),
+        (("estimator =", "source = ['a']\nestimator ="), ("vehicle.toml",)),
     ],
 )
 def test_descriptions_that_cannot_be_are_refused_with_the_source(broken, toml, words):

@@ -181,6 +181,9 @@ def build_config(values: dict[str, Any]) -> RunConfig:
     given = {k: v for k, v in values.items() if v is not None and v != ()}
     config = given.pop("config", None)
     merged: dict[str, Any] = load_toml(config) if config else {}
+    sources = merged.get("source", [])
+    if not isinstance(sources, list) or not all(isinstance(s, dict) for s in sources):
+        raise InputError("`source` is no list of tables", path=config, hint="Write [[source]] above each")
     if "noise" in given:
         given["noise"] = read_noise(given["noise"])
     if "ism" in given:

@@ -122,8 +122,8 @@ def read_acoustics(
     if any(twice.values()):
         first = to_iso(min(t for t, n in twice.items() if n))
         told.append(
-            f"{path.name}: {sum(twice.values())} rows dropped: one of the same name and time comes later, first "
-            f"at {first}"
+            f"{path.name}: {sum(twice.values())} rows dropped: one of the same name and time comes later, "
+            f"first at {first}"
         )
     return with_repeats([_observation(source, t, by_time[t]) for t in sorted(by_time)], told)
 
@@ -229,8 +229,8 @@ def _check_sizes(
             units = ", ".join(u for u in QUANTITIES[head][1] if u != unit)
             hint = f"If it is in another unit, call the column {head}_ and {units}" if units else HINT
             raise InputError(
-                f"column {c.name!r}: a {kind} of {usual / c.factor:g} {unit} is usual there, more than {most:g} "
-                f"{'s' if kind == 'time' else 'm'}", path=path, hint=hint,
+                f"column {c.name!r}: a {kind} of {usual / c.factor:g} {unit} is usual there, more than "
+                f"{most:g} {'s' if kind == 'time' else 'm'}", path=path, hint=hint,
             )  # fmt: skip
 
 

@@ -221,13 +221,21 @@ class ChangeTrial:
         """The probability at most that each row passes whose bias has stayed as it was, shape (k,)."""
         return np.full(len(self.size), self.p_readmit)
 
+    @property
+    def limit(self) -> float:
+        """How many standard deviations each bias of the later epochs may be."""
+        return float(np.sqrt(chi2_threshold(0.5 * self.p_fa / len(self.size), 1)))
+
+    def estimates(self, white: FloatArray) -> FloatArray:
+        """Return the size of each row's later bias in standard deviations, shape (k, runs)."""
+        return _sigmas(self.levels, white)
+
     def passed(self, white: FloatArray) -> npt.NDArray[np.bool_]:
         """Tell which runs of whitened innovations, shape (D, runs), pass."""
         early, k = self._parts[0], len(self.size)
         left = _outside(white, early)
         total = (left * left).sum(axis=0) <= chi2_threshold(0.5 * self.p_fa, len(white) - k)
-        usual = float(np.sqrt(chi2_threshold(0.5 * self.p_fa / k, 1)))
-        agree = (_sigmas(self.levels, white) <= usual).all(axis=0)
+        agree = (self.estimates(white) <= self.limit).all(axis=0)
         return np.asarray(total & agree & (_sigmas(self.changes, white) >= self.needed).all(axis=0))
 
 
