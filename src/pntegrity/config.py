@@ -19,7 +19,7 @@ from pntegrity.inertial import VEHICLE, InertialConfig, usual_monitors
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import parse_fault
-from pntegrity.vehicle import priors_of
+from pntegrity.vehicle import check_names, priors_of
 
 __all__ = [
     "RunConfig",
@@ -176,7 +176,9 @@ class RunConfig(InertialConfig):
         given; its false-alert probability is `p_fa`, and priors are those of the sources, where it has none.
         """
         usual = MESSAGES[discover_estimators()[self.estimator].surroundings].to_table()
-        priors = priors_of(self.source) | dict(self.ism.get("sources", {}))
+        stated = dict(self.ism.get("sources", {}))
+        check_names(self.source, stated)
+        priors = priors_of(self.source) | stated
         given = self.ism | ({"sources": priors} if priors else {})
         return Ism.from_table(usual | {"p_fa": self.p_fa} | given)
 

@@ -18,10 +18,12 @@ from pntegrity.protocols import Estimator, Monitor, Switching, carried, memory_f
 from pntegrity.proving import Past, Proof, is_due, prove
 from pntegrity.readmission import distrusting, left_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
-from pntegrity.states import is_left_out, names_sensor, source_of
+from pntegrity.states import group_of, is_left_out, names_sensor
 
 #: A blunder larger than this moves a start so far that its linearisation blames others too, m.
 FAR_M = 1000.0
+#: Sources that measured so long ago still count, ns.
+LATELY_NS = 60_000_000_000
 
 __all__ = ["Checkpoint", "Outcome", "Pipeline", "uncollected"]
 
@@ -88,7 +90,7 @@ class Pipeline:
             reasons.append(_ambiguity(decision) if new else decision.reason)
             if not new:
                 break
-            misfit = _misfit(attempt.updates[-1], new, self.policy)
+            misfit = _misfit(now, attempt.updates[-1], new, self.policy)
             if misfit:
                 return self._attempt(replace(now, standing={}), epoch, {}, relaxed), (), misfit
             if any(e.onset_ns < epoch.t_ns for e in new) and not _repair_is_due(now, epoch):
@@ -306,16 +308,20 @@ def _left(made: Sequence[Exclusion]) -> frozenset[str]:
     return frozenset(e.group for e in made if e.switch)
 
 
-def _misfit(update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
+def _misfit(now: Checkpoint, update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
     """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for
-    it.
+    it. Where monitors identify, sources count that measured lately, and not their sensors.
     """
-    names = (*update.excluded, *(e.group for e in new))
-    out = {source_of(name) for name in names}
-    total = out | set(update.groups())
-    if len(out) <= policy.most_excluded * len(total):
+    out, there = {*update.excluded, *(e.group for e in new)}, set(update.groups())
+    if policy.identifying:
+        since_ns = update.t_ns - LATELY_NS
+        past = (p.epoch for p in now.history if p.epoch.t_ns >= since_ns)
+        there |= {group_of(k) for e in past for o in e.observations for k in o.keys}
+        out = {name for name in (*out, *now.standing) if not names_sensor(name)}
+    total = len(out | there)
+    if len(out) <= policy.most_excluded * total:
         return ""
-    return f"{len(out)} of {len(total)} would be left out: the model does not fit the data, all are kept"
+    return f"{len(out)} of {total} would be left out: the model does not fit the data, all are kept"
 
 
 def _is_reacquired(now: Checkpoint) -> bool:

@@ -18,8 +18,9 @@ from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import Epoch, Observation
 from pntegrity.sensors.source import Source
 from pntegrity.source_files import LOADING, fields_of, listed, read_source
+from pntegrity.states import source_of
 
-__all__ = ["carried_on", "check_clocks", "loaded", "priors_of", "sources_of", "types"]
+__all__ = ["carried_on", "check_clocks", "check_names", "loaded", "priors_of", "sources_of", "types"]
 
 #: A source that begins so much later than the first, or ends so much earlier than the last, is told, s.
 LATE_S = 30.0
@@ -80,6 +81,20 @@ def priors_of(tables: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     whole = {n: t["prior"] for n, t in zip(names, tables, strict=True) if "prior" in t}
     each = {f"{n}.*": t["prior_sensor"] for n, t in zip(names, tables, strict=True) if "prior_sensor" in t}
     return whole | each
+
+
+def check_names(tables: Sequence[Mapping[str, Any]], stated: Iterable[str]) -> None:
+    """Refuse priors of what is no source of a vehicle; without sources nothing is known of them.
+
+    Raises
+    ------
+    ValueError
+        Naming the prior, and the sources that there are.
+    """
+    names = [str(t.get("name") or t.get("type")) for t in tables]
+    for name in stated:
+        if names and source_of(name) not in names:
+            raise ValueError(f"[ism.sources] has {name!r}, which is no source; there are {', '.join(names)}")
 
 
 def _source(table: dict[str, Any], number: int) -> Source:

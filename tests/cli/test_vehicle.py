@@ -85,6 +85,7 @@ def test_what_does_not_go_together_is_refused(vehicle, pnt, tmp_path):
 def test_nothing_of_it_can_be_calibrated(vehicle, pnt, tmp_path):
     assert pnt("calibrate", "--config", vehicle(), "--out", tmp_path / "noise.toml").refused("nothing to fit")
 
+
 def test_priors_of_sources_are_those_of_their_tables_and_the_message_wins(vehicle, tmp_path):
     text = "".join(
         f'[[source]]\ntype = "fix"\nname = "{n}"\nfile = "{tmp_path / n}.csv"\nprior = {p}\n'

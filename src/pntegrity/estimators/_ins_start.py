@@ -103,7 +103,7 @@ def _fix(epoch: Epoch, options: GnssOptions) -> Fix:
         return snapshot(epoch, options, np.zeros(3))
     cov = own.aux["cov"]
     if len(own.keys) < 3:
-        return Fix(np.zeros(3), {}, None, 0.0, "no position in the fix")
+        return Fix(np.zeros(3), {}, None, 0.0, "waiting for a position: of a fix, or of satellites")
     velocity = (own.y[3:6], cov[3:6, 3:6]) if len(own.keys) == 6 else (None, None)
     return Fix(own.y[:3], {}, velocity[0], 0.0, "", velocity[1])
 

@@ -22,7 +22,7 @@ from pntegrity.states import is_left_out
 __all__ = ["MultiSource"]
 
 POLICY: Mapping[str, Any] = {
-    "keep_rows": 0, "most_excluded": 1.0, "restart_s": float("inf"), "history": 240, "trust_prior": True,
+    "keep_rows": 0, "most_excluded": 0.7, "restart_s": float("inf"), "history": 240, "trust_prior": True,
     "identifying": ("source_separation", "sensor_window"), "proof": "trial", "reacquire_s": 60.0,
 }  # fmt: skip
 #: How long ago a signal may have left, s.
