@@ -281,7 +281,7 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
     return RunFacts(
         estimator=config.estimator,
         config=config.model_dump(mode="json"),
-        noise_name=noise.name,
+        noise_name="of its sources" if config.source else noise.name,
         blind_spots=blind_spots(
             config.estimator, noise, config.motion, monitors, options_for(config, loaded).ins
         ),
