@@ -34,8 +34,14 @@ MONITORS = [(name, v) for name, cls in sorted(monitors.discover().items()) for v
 EXACT = [name for name, v in MONITORS if v == "exact"]
 
 
+#: Windows that do for what all monitors must keep: identification takes time with the square of the window.
+SHORT: dict[str, dict[str, int]] = {
+    "source_separation": {"longest": 8, "together": 1}, "sensor_window": {"window": 8},
+}  # fmt: skip
+
+
 def build(name: str, variant: str = "exact", p_fa: float = 1e-5) -> Monitor:
-    return monitors.discover()[name](p_fa=p_fa, variant=variant)
+    return monitors.discover()[name](p_fa=p_fa, variant=variant, **SHORT.get(name, {}))
 
 
 @dataclass(frozen=True)

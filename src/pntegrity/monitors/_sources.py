@@ -60,6 +60,7 @@ def sensors_in(signature: Signature) -> tuple[str, ...]:
     return tuple(name for g in signature.groups for name in [g.partition(".")[2]] if name)
 
 
+@lru_cache(maxsize=512)  # a window's updates are asked for again at each alarm
 def looks(update: Update, kind: str) -> tuple[tuple[Signature, ...], tuple[FloatArray, FloatArray]]:
     """Return the faults that are looked for in an update, and the rows (m, s) that grow and that jump.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import combinations
 from typing import ClassVar, Literal
 
@@ -254,6 +255,7 @@ class Identification:
         return Suspect(tuple(first), kind, size, onset_ns, float(self.explained[i]), sensors)
 
 
+@lru_cache(maxsize=256)
 def _ordered(update: Update) -> Update:
     """Return the update with its rows in the order of their names."""
     at = in_order(update.keys)
