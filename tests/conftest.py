@@ -2,8 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np  # noqa: F401
 import pytest
+import scipy.linalg  # noqa: F401
+from threadpoolctl import threadpool_limits
 
+#: Small matrices on a thread each; as in a run. What is loaded by now is what is limited.
+LIMIT = threadpool_limits(1, user_api="blas")
 SHARED = Path(__file__).resolve().parents[1] / "../shared/data"
 
 
