@@ -288,9 +288,13 @@ def test_what_was_computed_before_an_interrupt_is_kept(broken, monkeypatch):
         return push(self, epoch)
 
     monkeypatch.setattr(Pipeline, "push", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
     usual = signal.getsignal(signal.SIGINT)
-    ran = broken()
+    try:
+        ran = broken()
+    finally:
+        after = signal.signal(signal.SIGINT, before)
     assert (ran.code, ran.told["interrupted"]) == (130, True)
     assert "the 20 epochs done so far were written" in ran.err
     assert ran.solution["t_ns"].to_list() == pushed
-    assert signal.getsignal(signal.SIGINT) is usual
+    assert after is usual
