@@ -70,37 +70,37 @@ def load_epochs(config: RunConfig) -> GnssEpochs:
     """
     if config.imu is not None:
         config.ins_options(config.variant)  # its files are read before the long ones
-    loaded = _observed(config) if config.obs is not None else _said(config)
+    loaded, span = _observed(config) if config.obs is not None else _said(config)
     if config.imu is not None:
         notes: list[str] = []
-        end_ns = _span(config, loaded.epochs[0].t_ns)[1]
-        epochs = with_imu(config, loaded.epochs, options_for(config, loaded), notes, end_ns)
+        epochs = with_imu(config, loaded.epochs, options_for(config, loaded), notes, span[1])
         loaded = replace(loaded, epochs=epochs, notes=(*loaded.notes, *notes))
     faults = [parse_fault(text) for text in config.faults]
     return replace(loaded, epochs=tuple(_with_faults(loaded.epochs, faults)))
 
 
-def _observed(config: RunConfig) -> GnssEpochs:
+def _observed(config: RunConfig) -> tuple[GnssEpochs, Span]:
+    """Return the epochs of a RINEX log, and the run's begin and end."""
     assert config.obs is not None
     table = read_observations(config.obs)
     span = _span(config, int(table.t_ns[0]))
     loaded = (_precise if config.sp3 else _clas if config.clas else _broadcast)(config, table, span)
     if config.atmosphere is not None:
         loaded = with_atmosphere(loaded, read_atmosphere(config.atmosphere))
-    return replace(loaded, notes=table.notes + loaded.notes)
+    return replace(loaded, notes=table.notes + loaded.notes), span
 
 
-def _said(config: RunConfig) -> GnssEpochs:
-    """Return a receiver's own fixes, or what the sources of a vehicle said."""
+def _said(config: RunConfig) -> tuple[GnssEpochs, Span]:
+    """Return a receiver's own fixes, or what the sources of a vehicle said, and the run's begin and end."""
     notes: list[str] = []
     epochs = vehicle.loaded(config.source, notes) if config.source else fixes_of(config, notes)
     if not epochs:
         raise InputError("no source said anything", hint="See the files of the [[source]] tables")
-    start, end = _span(config, epochs[0].t_ns)
+    start, end = span = _span(config, epochs[0].t_ns)
     inside = [e for e in epochs if (start is None or e.t_ns >= start) and (end is None or e.t_ns <= end)]
     if not inside:
         raise InputError("nothing lies between --start and --end", path=config.fixes)
-    return GnssEpochs(tuple(inside), tuple(notes), None)
+    return GnssEpochs(tuple(inside), tuple(notes), None), span
 
 
 def _broadcast(config: RunConfig, table: SignalTable, span: Span) -> GnssEpochs:

@@ -11,6 +11,7 @@ from gnss_logs import PLACE, START
 from pntegrity.config import load_toml, make_config
 from pntegrity.errors import InputError
 from pntegrity.physics.time import to_week_tow
+from pntegrity.run import load_epochs
 
 HEAD = "gps_week,tow_s,gyr_x_rps,gyr_y_rps,gyr_z_rps,acc_x_mps2,acc_y_mps2,acc_z_mps2"
 
@@ -84,6 +85,11 @@ def test_what_does_not_go_together_is_refused(vehicle, pnt, tmp_path):
 
 def test_nothing_of_it_can_be_calibrated(vehicle, pnt, tmp_path):
     assert pnt("calibrate", "--config", vehicle(), "--out", tmp_path / "noise.toml").refused("nothing to fit")
+
+
+def test_a_run_ends_at_its_end_where_the_unit_goes_on(vehicle):
+    loaded = load_epochs(make_config(load_toml(vehicle()) | {"start": "10", "end": "20"}))
+    assert [round((e.t_ns - START) * 1e-9) for e in loaded.epochs] == list(range(10, 21))
 
 
 def test_priors_of_sources_are_those_of_their_tables_and_the_message_wins(vehicle, tmp_path):
