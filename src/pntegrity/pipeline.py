@@ -14,7 +14,7 @@ from typing import Any
 
 from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide
 from pntegrity.outcomes import Attempt, Checkpoint, Outcome, Reviewed
-from pntegrity.protocols import Estimator, Monitor, Switching, carried, memory_for, resumes
+from pntegrity.protocols import Estimator, Monitor, Switching, begun_again, carried, judged, resumes, stepped
 from pntegrity.proving import Past, Proof, is_due, prove
 from pntegrity.readmission import distrusting, left_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
@@ -160,20 +160,19 @@ class Pipeline:
         start = next((i for i, p in enumerate(now.history) if p.epoch.t_ns >= first_ns), len(now.history))
         again = now.history[start:]
         state = again[0].before if again else now.state
-        memories = self._memories_at(again[0]) if again else now.memories
+        memories = begun_again(self.monitors, again[0].memories) if again else now.memories
         updates, history = [], [] if switch else list(now.history[:start])
         verdicts: tuple[Verdict, ...] = ()
         past = [(p.epoch, p.excluded, p.relaxed) for p in again]
         state = self._without(now, state, switch) if not again else state
         for e, already, free in [*past, (epoch, left_out(now.standing), relaxed)]:
             out = already | {g for g, t_ns in begins.items() if e.t_ns >= t_ns}
-            prior = self.estimator.predict(state, e)
-            update = self.estimator.correct(self.estimator.relax(prior) if free else prior, e, out)
+            update = stepped(self.estimator, state, e, out, free)
             if switch and e is epoch and not again:
                 update = update.altered(switched=tuple(sorted(switch)))
             kept = self._kept(memories)
             if e is epoch:
-                verdicts, memories = self._judge(memories, update)
+                verdicts, memories = judged(self.monitors, memories, update)
             else:
                 memories = self._carried(memories, update)
             history.append(Past(state, e, out, free, kept))
@@ -196,20 +195,8 @@ class Pipeline:
         pairs = zip(self.monitors, memories, strict=True)
         return tuple(memory if resumes(m) else None for m, memory in pairs)
 
-    def _memories_at(self, past: Past) -> tuple[Any, ...]:
-        """Return the memories with which the past is run again: most monitors begin anew."""
-        kept = past.memories or (None,) * len(self.monitors)
-        return tuple(m.start() if k is None else k for m, k in zip(self.monitors, kept, strict=True))
-
     def _carried(self, memories: Sequence[Any], update: Update) -> tuple[Any, ...]:
         return tuple(carried(m, memory, update) for m, memory in zip(self.monitors, memories, strict=True))
-
-    def _judge(self, memories: Sequence[Any], update: Update) -> tuple[tuple[Verdict, ...], tuple[Any, ...]]:
-        pairs = [
-            m.step(memory_for(m, memory, update), update)
-            for m, memory in zip(self.monitors, memories, strict=True)
-        ]
-        return tuple(v for v, _ in pairs), tuple(memory for _, memory in pairs)
 
     def _commit(
         self, now: Checkpoint, epoch: Epoch, first: Attempt, last: Attempt, made: tuple[Exclusion, ...],

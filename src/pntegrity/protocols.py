@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from pntegrity.records import Epoch, Prior, State, Update, Verdict
 
 Memory = TypeVar("Memory")
 
-__all__ = ["Carrying", "Estimator", "Monitor", "Switching", "carried", "memory_for", "resumes"]
+__all__ = [
+    "Carrying", "Estimator", "Monitor", "Switching", "begun_again", "carried", "judged", "memory_for",
+    "resumes", "stepped",
+]  # fmt: skip
 
 
 @runtime_checkable
@@ -99,6 +103,32 @@ def carried(monitor: Monitor, memory: Any, update: Update) -> Any:
     """Return the memory of a monitor after an update whose verdict nobody wants."""
     memory = memory_for(monitor, memory, update)
     return monitor.carry(memory, update) if isinstance(monitor, Carrying) else monitor.step(memory, update)[1]
+
+
+def stepped(
+    estimator: Estimator, state: State, epoch: Epoch, exclude: frozenset[str], relaxed: bool = False
+) -> Update:
+    """Return the update of an epoch after a posterior; `relaxed`: without what the dynamics say of it."""
+    prior = estimator.predict(state, epoch)
+    return estimator.correct(estimator.relax(prior) if relaxed else prior, epoch, exclude)
+
+
+def judged(
+    monitors: Sequence[Monitor], memories: Sequence[Any], update: Update
+) -> tuple[tuple[Verdict, ...], tuple[Any, ...]]:
+    """Return the verdicts of monitors on an update, and their memories after it."""
+    steps = [m.step(memory_for(m, k, update), update) for m, k in zip(monitors, memories, strict=True)]
+    return tuple(v for v, _ in steps), tuple(memory for _, memory in steps)
+
+
+def begun_again(monitors: Sequence[Monitor], there: Sequence[Any]) -> tuple[Any, ...]:
+    """Return the memories with which the past is run again: those that resume go on from what they remembered
+    `there` (nothing, where that is not known), others begin anew.
+    """
+    kept = there or (None,) * len(monitors)
+    return tuple(
+        k if resumes(m) and k is not None else m.start() for m, k in zip(monitors, kept, strict=True)
+    )
 
 
 def memory_for(monitor: Monitor, memory: Any, update: Update) -> Any:

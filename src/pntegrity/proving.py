@@ -18,7 +18,7 @@ from pntegrity.exclusion import Policy, Standing
 from pntegrity.kernels.linear import inverse_definite
 from pntegrity.kernels.recovery import ChangeTrial, Trial, w_test
 from pntegrity.kernels.source_test import Gains
-from pntegrity.protocols import Estimator
+from pntegrity.protocols import Estimator, stepped
 from pntegrity.records import Epoch, FloatArray, State, Update
 from pntegrity.states import is_left_out, names_sensor
 
@@ -132,7 +132,7 @@ def prove(
     if not found.reason or not standing.size:
         return found
     before = _before(history[:first], name)
-    both = _Run.of(estimator, [*before, *window], name, standing) if len(before) >= LEAST_BEFORE else None
+    both = _Run.of(estimator, [*before, *window], name, standing) if before else None
     return found if both is None else _by_change(both, len(before), policy, found)
 
 
@@ -159,7 +159,9 @@ class _Run:
 
 
 def _before(past: Sequence[Past], name: str) -> list[Past]:
-    """Return the last epochs without somebody, as many as have `MOST_BEFORE` of their rows."""
+    """Return the last epochs without somebody, as many as have `MOST_BEFORE` of their rows; none where they
+    have fewer than `LEAST_BEFORE`.
+    """
     out, kept, count = frozenset([name]), [], 0
     for p in reversed(past):
         if name not in p.excluded or count >= MOST_BEFORE:
@@ -183,10 +185,7 @@ def _by_change(run: _Run, before: int, policy: Policy, proof: Proof) -> Proof:
 def _run_again(estimator: Estimator, window: Sequence[Past], name: str) -> list[Update]:
     state, out = window[0].before, []
     for p in window:
-        prior = estimator.predict(state, p.epoch)
-        update = estimator.correct(
-            estimator.relax(prior) if p.relaxed else prior, p.epoch, p.excluded - {name}
-        )
+        update = stepped(estimator, state, p.epoch, p.excluded - {name}, p.relaxed)
         out.append(update)
         state = update.posterior
     return out
@@ -219,18 +218,18 @@ def _proof(trial: Trial, white: FloatArray, proof: Proof) -> Proof:
     )  # fmt: skip
 
 
-def passes_now(update: Update, name: str, p_fa: float) -> tuple[bool, float, float]:
+def passes_now(update: Update, rows: npt.NDArray[np.intp], p_fa: float) -> tuple[bool, float, float]:
     """Return whether all w-tests of an epoch's rows pass, the largest of them, and its limit.
 
     Parameters
     ----------
     update : Update
         With the rows left out.
-    name : str
+    rows : ndarray of int
+        Which of them.
     p_fa : float
         Probability that a healthy row fails.
     """
-    rows = left_out_rows(update, name)
     cov = np.diag(update.spare_var) if update.spare_cov is None else update.spare_cov
     w, limit = w_test(update.spare_nu[rows], cov[np.ix_(rows, rows)], p_fa)
     return bool((w <= limit).all()), float(w.max()), limit

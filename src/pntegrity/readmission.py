@@ -28,8 +28,8 @@ def review(
     update: Update,
     present: frozenset[str],
     policy: Policy,
-    step_s: float = 0.0,
-    trial: Callable[[str, Standing], Proof] | None = None,
+    step_s: float,
+    trial: Callable[[str, Standing], Proof],
 ) -> tuple[dict[str, Standing], tuple[Proof, ...]]:
     """Return the exclusions that go on after an update, and what tests showed: groups that proved themselves,
     or are long gone, drop out.
@@ -51,20 +51,19 @@ def review(
 
 def _tested(
     s: Standing, update: Update, name: str, present: bool, policy: Policy,
-    trial: Callable[[str, Standing], Proof] | None,
+    trial: Callable[[str, Standing], Proof],
 ) -> tuple[Standing | None, Proof | None]:  # fmt: skip
     """Return what goes on of an exclusion that a test may end, and the test."""
-    t_ns = update.t_ns
-    if not len(left_out_rows(update, name)):
-        gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
-        return None if gone else replace(s, seen_ns=t_ns if present else s.seen_ns), None
-    s = replace(s, seen_ns=t_ns, rows=_largest(s.rows, update, name))
-    if policy.proof == "passes" or trial is None:
-        passed, largest, limit = passes_now(update, name, policy.p_refuse)
+    t_ns, rows = update.t_ns, left_out_rows(update, name)
+    if not len(rows):
+        return _absent(s, t_ns, present, policy), None
+    s = replace(s, seen_ns=t_ns, rows=_largest(s.rows, update, rows))
+    if policy.proof == "passes":
+        passed, largest, limit = passes_now(update, rows, policy.p_refuse)
         s = replace(s, count=s.count + 1 if passed else 0)
         back = s.count >= policy.passes
         return None if back else s, Proof(name, t_ns, s.count, back, largest, limit)
-    if update.misfit(left_out_rows(update, name)) > policy.proof_sigma:
+    if update.misfit(rows) > policy.proof_sigma:
         return replace(s, clean_ns=None, count=0), None
     s = replace(s, clean_ns=s.clean_ns if s.count else t_ns, count=s.count + 1)
     if not is_due(s.count, s.times):
@@ -75,12 +74,18 @@ def _tested(
     return (s if proof.reason else replace(s, clean_ns=None, count=0)), proof
 
 
+def _absent(s: Standing, t_ns: int, present: bool, policy: Policy) -> Standing | None:
+    """Return the exclusion of who gave no rows; None: forgotten."""
+    gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
+    return None if gone else replace(s, seen_ns=t_ns if present else s.seen_ns)
+
+
 def _largest(
-    before: tuple[tuple[str, float], ...], update: Update, name: str
+    before: tuple[tuple[str, float], ...], update: Update, rows: npt.NDArray[np.intp]
 ) -> tuple[tuple[str, float], ...]:
-    """Return by how much the rows of who is left out were off at most, as the filter without them saw it."""
+    """Return by how much rows left out were off at most, as the filter without them saw it."""
     known = dict(before)
-    for i in left_out_rows(update, name):
+    for i in rows:
         key = update.spare_keys[i]
         known[key] = max(known.get(key, 0.0), abs(float(update.spare_nu[i])))
     return tuple(known.items())
@@ -141,9 +146,8 @@ def _reviewed(
     t_ns, rows = update.t_ns, left_out_rows(update, group)
     levels = _levels(update, rows)
     if not len(rows):
-        gone = (t_ns - s.seen_ns) * 1e-9 > policy.forget_s
-        seen_ns = t_ns if present else s.seen_ns
-        return None if gone else replace(s, clean_ns=None, level_ns=None, anew=False, seen_ns=seen_ns)
+        away = _absent(s, t_ns, present, policy)
+        return None if away is None else replace(away, clean_ns=None, level_ns=None, anew=False)
     gain = _gain(s, update, levels)
     whole = update.misfit(rows)
     level = update.misfit(levels) if 0 < len(levels) < len(rows) else whole

@@ -13,7 +13,7 @@ from pntegrity.errors import InputError
 from pntegrity.formats.atomic import atomically
 from pntegrity.formats.update_record import read_record
 from pntegrity.monitors import discover
-from pntegrity.protocols import Monitor, memory_for, resumes
+from pntegrity.protocols import Monitor, begun_again, judged, resumes
 from pntegrity.records import Update, Verdict
 
 if TYPE_CHECKING:
@@ -61,26 +61,22 @@ def monitored(
     """Yield every committed update with its verdicts; where a repair replaced the past, memories begin anew,
     or go on from there, as they did.
     """
-    memories: list[Any] = [m.start() for m in monitors]
-    before: deque[list[Any]] = deque(maxlen=REMEMBERED if any(map(resumes, monitors)) else 0)
+    memories: tuple[Any, ...] = tuple(m.start() for m in monitors)
+    before: deque[tuple[Any, ...]] = deque(maxlen=REMEMBERED if any(map(resumes, monitors)) else 0)
     for update, rewound in entries:
         if rewound:
             memories = _rewound(monitors, before, rewound)
         before.append(memories)
-        steps = [
-            m.step(memory_for(m, memory, update), update)
-            for m, memory in zip(monitors, memories, strict=True)
-        ]
-        memories = [memory for _, memory in steps]
-        yield update, [verdict for verdict, _ in steps]
+        verdicts, memories = judged(monitors, memories, update)
+        yield update, list(verdicts)
 
 
-def _rewound(monitors: Sequence[Monitor], before: deque[list[Any]], rewound: int) -> list[Any]:
+def _rewound(monitors: Sequence[Monitor], before: deque[tuple[Any, ...]], rewound: int) -> tuple[Any, ...]:
     """Return the memories at the first of the updates that a repair replaced, and forget these."""
-    there = before[-rewound] if rewound <= len(before) else None
+    there = before[-rewound] if rewound <= len(before) else ()
     for _ in range(min(rewound, len(before))):
         before.pop()
-    return [there[i] if there is not None and resumes(m) else m.start() for i, m in enumerate(monitors)]
+    return begun_again(monitors, there)
 
 
 def replay(

@@ -34,6 +34,7 @@ from pntegrity.report.blind_spots import blind_spots
 from pntegrity.report.facts import RunFacts
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import Fault, apply_faults, describe, parse_fault, touches_any, units_of
+from pntegrity.source_files import name_of
 from pntegrity.states import sensor_of
 
 __all__ = ["RunResult", "load_epochs", "run"]
@@ -291,7 +292,7 @@ def _facts(config: RunConfig, loaded: GnssEpochs, outcomes: Sequence[Outcome], i
         notes=loaded.notes,
         faults=tuple(describe(parse_fault(f)) for f in config.faults),
         started=to_iso(loaded.epochs[0].t_ns) if loaded.epochs else "",
-        sources=tuple(str(table.get("name", table["type"])) for table in config.source),
+        sources=tuple(map(name_of, config.source)),
         interrupted=interrupted,
     )
 

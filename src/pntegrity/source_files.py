@@ -22,7 +22,10 @@ from pntegrity.formats.fixes import read_fixes
 from pntegrity.records import Observation
 from pntegrity.states import sensor_of
 
-__all__ = ["LOADING", "LOGS", "SourceFile", "fields_of", "formats_of", "listed", "read_log", "read_source"]
+__all__ = [
+    "LOADING", "LOGS", "SourceFile", "fields_of", "formats_of", "listed", "name_of", "read_log",
+    "read_source",
+]  # fmt: skip
 
 #: Fields of a ``[[source]]`` table that say where its measurements are; all others are those of its type.
 LOADING = (
@@ -59,6 +62,11 @@ Table = Mapping[str, Any]
 Reader = Callable[[str, Table, list[str]], SourceFile]
 
 
+def name_of(table: Table, kind: str = "") -> str:
+    """Return what the source of a table is called: its type, where no name is given."""
+    return str(table.get("name", kind or table.get("type", "")))
+
+
 def formats_of(kind: str) -> tuple[str, ...]:
     """Return the layouts that a type of source is read in; the first is taken where a table names none."""
     usual = USUAL.get(kind, "csv")
@@ -82,7 +90,7 @@ def read_source(kind: str, table: Table, notes: list[str]) -> SourceFile:
     InputError
         No file is named, its layout is not known, or it cannot be used; with the source's name.
     """
-    name = str(table.get("name", kind))
+    name = name_of(table, kind)
     reader = READERS[_format(kind, name, table)]
     if not any(table.get(key) for key in ("file", "obs")):
         needed = "obs = [...] and nav = [...]" if USUAL.get(kind) else 'file = "its measurements.csv"'
@@ -118,12 +126,12 @@ def fields_of(kind: str, table: Table) -> dict[str, Any]:
     InputError
         As `read_source`.
     """
-    layout = _format(kind, str(table.get("name", kind)), table)
+    layout = _format(kind, name_of(table, kind), table)
     told = {} if layout == "csv" else dict(read_source(kind, table, []).fields)
     if "sound_speed_mps" in table:
         told.pop("profile", None)
     if isinstance(table.get("profile"), str):
-        with _named_in_errors(str(table.get("name", kind))):
+        with _named_in_errors(name_of(table, kind)):
             told["profile"] = read_profile(Path(table["profile"]))
     return told
 
@@ -144,7 +152,7 @@ def _format(kind: str, name: str, table: Table) -> str:
 
 def _csv(kind: str, table: Table, notes: list[str]) -> SourceFile:
     """Read a table of one source's measurements."""
-    name, path, origin = str(table.get("name", kind)), Path(table["file"]), table.get("origin_ns")
+    name, path, origin = name_of(table, kind), Path(table["file"]), table.get("origin_ns")
     if kind == "fix":
         told: list[str] = []
         fixes = [e.observations[0] for e in read_fixes(path, origin_ns=origin, notes=told)]
@@ -202,7 +210,7 @@ def _log(folder: str, layout: str, stamps: tuple[tuple[str, int], ...]) -> Acous
 
 def _of_log(kind: str, table: Table, notes: list[str]) -> SourceFile:
     """Take a source's measurements from a whole log; the vehicle's position is that of the antenna."""
-    name = str(table.get("name", kind))
+    name = name_of(table, kind)
     log = read_log(table["file"], str(table["format"]))
     notes += [note for note in log.notes if note not in notes]
     if kind == "fix":

@@ -17,7 +17,7 @@ from pntegrity.formats._acoustics import check_in_common, epochs_of
 from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import Epoch, Observation
 from pntegrity.sensors.source import Source
-from pntegrity.source_files import LOADING, fields_of, listed, read_source
+from pntegrity.source_files import LOADING, fields_of, listed, name_of, read_source
 from pntegrity.states import source_of
 
 __all__ = ["carried_on", "check_clocks", "check_names", "loaded", "priors_of", "sources_of", "types"]
@@ -72,7 +72,7 @@ def priors_of(tables: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     ValueError
         Naming the source whose value is no probability.
     """
-    names = [str(t.get("name") or t.get("type")) for t in tables]
+    names = list(map(name_of, tables))
     for name, table in zip(names, tables, strict=True):
         for field in ("prior", "prior_sensor"):
             p = table.get(field, 0.0)
@@ -91,7 +91,7 @@ def check_names(tables: Sequence[Mapping[str, Any]], stated: Iterable[str]) -> N
     ValueError
         Naming the prior, and the sources that there are.
     """
-    names = [str(t.get("name") or t.get("type")) for t in tables]
+    names = list(map(name_of, tables))
     for name in stated:
         if names and source_of(name) not in names:
             raise ValueError(f"[ism.sources] has {name!r}, which is no source; there are {', '.join(names)}")
@@ -152,7 +152,7 @@ def loaded(tables: Sequence[Mapping[str, Any]], notes: list[str]) -> tuple[Epoch
         kind = str(table["type"])
         found = read_source(kind, table, notes).observations
         if not found:
-            notes.append(f"source {table.get('name', kind)} said nothing")
+            notes.append(f"source {name_of(table)} said nothing")
         said += found
     _told_apart(said, notes)
     return epochs_of(said)
@@ -204,7 +204,7 @@ def check_clocks(
     """
     times = _times_of(o for e in epochs for o in e.observations)
     for table in tables:
-        name = str(table.get("name", table["type"]))
+        name = name_of(table)
         if name not in times:
             notes.append(f"source {name} says nothing in the time of the run")
             continue

@@ -288,7 +288,9 @@ def test_the_files_are_there_for_vehicles_alone(run, faulty, facts, tmp_path):
 
 @pytest.mark.parametrize("n", [0, 1, 12, 15])
 def test_partial_runs_are_written(run, facts, tmp_path, n):
-    write_results(tmp_path, run[:n], replace(facts, interrupted=True))
+    paths = write_results(tmp_path, run[:n], replace(facts, interrupted=True))
+    told = json.loads(paths["summary"].read_text())
+    assert (told["epochs"], told["interrupted"]) == (n, True)
 
 
 def test_the_terminal_has_a_line_for_each_source(run, facts):

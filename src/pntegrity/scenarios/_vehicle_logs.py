@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -22,7 +22,7 @@ from pntegrity.exclusion import Policy
 from pntegrity.monitors import discover
 from pntegrity.physics.frames import enu_rotation
 from pntegrity.pipeline import Outcome, Pipeline, uncollected
-from pntegrity.records import Epoch, FloatArray, group_of
+from pntegrity.records import Epoch, FloatArray, Update, group_of
 from pntegrity.sensors.imu import STIM300
 from pntegrity.sensors.increments import with_increments
 from pntegrity.sensors.source import Source
@@ -30,6 +30,7 @@ from pntegrity.simulate.faults import apply_faults, parse_fault
 from pntegrity.simulate.log_imu import simulated_imu
 from pntegrity.simulate.motion import Motion
 from pntegrity.source_files import read_log
+from pntegrity.states import sensor_of
 from pntegrity.vehicle import loaded, sources_of
 
 __all__ = ["P_FA", "Ride", "Vessel", "missing", "vessel", "vessels"]
@@ -79,7 +80,7 @@ class Vessel:
     def beacons(self) -> tuple[str, ...]:
         """Sensors of the source ``lbl``."""
         keys = {k for e in self.epochs for o in e.observations for k in o.keys if group_of(k) == "lbl"}
-        return tuple(sorted(k.partition(".")[2] for k in keys))
+        return tuple(sorted(map(sensor_of, keys)))
 
     def ride(self, faults: Sequence[str] = (), *, monitored: bool = True) -> Ride:
         """Return a run of the whole pipeline.
@@ -186,22 +187,22 @@ class Ride:
 
     def innovations(self, source: str, after_s: float = 300.0) -> tuple[FloatArray, FloatArray]:
         """Return innovations of a source's rows and their standard deviations, as far as it was used."""
-        found = []
-        for s, o in zip(self.since_s, self.outcomes, strict=True):
-            u = o.update
-            rows = [i for i, k in enumerate(u.keys) if group_of(k) == source]
-            if rows and s >= after_s:
-                found.append(np.stack([u.nu[rows], np.sqrt(np.diagonal(u.S)[rows])], axis=1))
+        used = self._used(source, after_s)
+        found = [np.stack([u.nu[at], np.sqrt(np.diagonal(u.S)[at])], axis=1) for u, at in used]
         nu, sigma = np.concatenate(found).T
         return nu, sigma
 
     def nis(self, source: str, after_s: float = 300.0) -> float:
         """Return the mean square of a source's normalised innovations, over its rows."""
         total, rows = 0.0, 0
-        for s, o in zip(self.since_s, self.outcomes, strict=True):
-            u = o.update
-            at = [i for i, k in enumerate(u.keys) if group_of(k) == source]
-            if at and s >= after_s:
-                total += float(u.nu[at] @ np.linalg.solve(u.S[np.ix_(at, at)], u.nu[at]))
-                rows += len(at)
+        for u, at in self._used(source, after_s):
+            total += float(u.nu[at] @ np.linalg.solve(u.S[np.ix_(at, at)], u.nu[at]))
+            rows += len(at)
         return total / rows
+
+    def _used(self, source: str, after_s: float) -> Iterator[tuple[Update, list[int]]]:
+        """Yield the updates that use a source, and its rows in each."""
+        for s, o in zip(self.since_s, self.outcomes, strict=True):
+            at = [i for i, k in enumerate(o.update.keys) if group_of(k) == source]
+            if at and s >= after_s:
+                yield o.update, at

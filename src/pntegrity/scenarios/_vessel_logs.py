@@ -36,8 +36,8 @@ SYSTEMS, SATELLITES, MASK_DEG = "GE", 12, 12.0
 DEG, HOUR = np.pi / 180.0, 3600.0
 
 
-def facts() -> Mapping[str, Any]:
-    """Return the parameters of the study."""
+def facts() -> dict[str, Any]:
+    """Return the tables of ``multi_level.toml``."""
     text = (files("pntegrity.scenarios") / "multi_level.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.resources import files
 from itertools import combinations
 from typing import Any
 
@@ -22,20 +20,16 @@ from pntegrity.monitors._hypotheses import HypothesesMemory
 from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.monitors.source_separation import SourceSeparation
 from pntegrity.records import FloatArray, Update
+from pntegrity.scenarios._vessel_logs import facts
 from pntegrity.simulate.ensembles import Ensemble, Filtered, draw_ensemble, filtered
 from pntegrity.simulate.linear import LinearModel, gains
 from pntegrity.simulate.vessel import Vessel, vessel_model
 from pntegrity.states import group_of, sensor_of
 
-__all__ = ["Case", "Detected", "Study", "facts"]
+__all__ = ["Case", "Detected", "Study"]
 
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
-
-
-def facts() -> dict[str, Any]:
-    """Return the tables of ``multi_level.toml``."""
-    return tomllib.loads((files("pntegrity.scenarios") / "multi_level.toml").read_text())
 
 
 @dataclass(frozen=True)

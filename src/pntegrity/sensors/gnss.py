@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
+from pntegrity.kernels.linear import inverse_definite
 from pntegrity.kernels.rotations import skew
 from pntegrity.physics.signals import WORDS
 from pntegrity.physics.tables import Klobuchar
@@ -166,7 +167,7 @@ class Gnss:
         systems = np.array([system_of(k) for k in rows.keys])
         A = np.hstack([-rows.los, (systems[:, None] == np.unique(systems)).astype(np.float64)])
         A /= self.noise.snapshot_sigma_m(rows.scale, rows.slow)[:, None]
-        return np.asarray(np.linalg.inv(A.T @ A)[:3, :3], dtype=np.float64)
+        return inverse_definite(A.T @ A)[:3, :3]
 
     def _part(self, kind: str, rows: Rows, said: Observation) -> _Part:
         """Return the rows of a kind, less what they share."""

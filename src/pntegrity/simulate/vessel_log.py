@@ -123,7 +123,6 @@ def _spread(rows: int) -> dict[str, FloatArray]:
 
 def vessel_log(
     motion: Motion, sources: Mapping[Source, Sequence[str]], rng: np.random.Generator, *,
-    every_s: Mapping[str, float] | None = None,
     spec: ImuSpec = STIM300, imu_hz: float = 100.0, rate_hz: float = 1.0,
     besides: Mapping[int, Observation] | None = None,
 ) -> VesselLog:  # fmt: skip
@@ -135,8 +134,6 @@ def vessel_log(
     sources : mapping of Source to sequence of str
         With the rows of each.
     rng : numpy.random.Generator
-    every_s : mapping of str to float, optional
-        Seconds between what a source says; each epoch where it is not told.
     spec : ImuSpec
     imu_hz, rate_hz : float
         Increments and epochs a second.
@@ -147,17 +144,12 @@ def vessel_log(
     inertial, _ = with_errors(increments(motion, first, last, imu_hz), spec, rng)
     epochs = []
     for k in range(round(TRACK_S * rate_hz), int((last - first) * 1e-9 * rate_hz)):
-        t_ns, t_s = first + round(k * 1e9 / rate_hz), k / rate_hz
+        t_ns = first + round(k * 1e9 / rate_hz)
         pose = pose_at(motion, t_ns)
-        said = [measured(s, keys, pose, rng) for s, keys in sources.items() if _is_due(s.name, t_s, every_s)]
+        said = [measured(s, keys, pose, rng) for s, keys in sources.items()]
         said += [o for o in [(besides or {}).get(t_ns)] if o is not None]
         epochs.append(Epoch(t_ns, tuple(said)))
     return VesselLog(with_increments(epochs, inertial), tuple(sources), motion, inertial)
-
-
-def _is_due(name: str, t_s: float, every_s: Mapping[str, float] | None) -> bool:
-    every = (every_s or {}).get(name, 0.0)
-    return not every or t_s % every == 0.0
 
 
 def with_faults(log: VesselLog, faults: Sequence[Fault]) -> VesselLog:
