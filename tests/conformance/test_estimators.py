@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import pickle
-import sys
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from gnss_logs import fingerprint, shuffled, without
-
-sys.path.insert(0, str(Path(__file__).parent))
 from everyone import SOURCES, every_source, source
 
+from gnss_logs import fingerprint, shuffled, without
 from pntegrity import estimators
 from pntegrity.protocols import Estimator
 from pntegrity.records import State, Update, group_of

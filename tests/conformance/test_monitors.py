@@ -6,19 +6,15 @@ import dataclasses
 import importlib
 import inspect
 import pickle
-import sys
 from pathlib import Path
 from typing import Any
 
+import everyone
 import numpy as np
 import pytest
-
-from gnss_logs import fingerprint
-
-sys.path.insert(0, str(Path(__file__).parent))
-import everyone
 from everyone import EXACT, build, every_monitor, every_source, option_names, outcomes, updates
 
+from gnss_logs import fingerprint
 from pntegrity import monitors
 from pntegrity.evaluate.montecarlo import count_alarms, plans
 from pntegrity.protocols import Monitor

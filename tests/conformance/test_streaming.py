@@ -5,16 +5,11 @@ estimator.
 from __future__ import annotations
 
 import pickle
-import sys
-from pathlib import Path
 
 import pytest
-
-from gnss_logs import fingerprint
-
-sys.path.insert(0, str(Path(__file__).parent))
 from everyone import POLICY, build, every_monitor, every_source, outcomes, source
 
+from gnss_logs import fingerprint
 from pntegrity.pipeline import Pipeline
 from pntegrity.replay import monitored
 from pntegrity.report.write import entries

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import pickle
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from arcs import arcs, otherwise_initialised
 
 from pntegrity.evaluate.intervals import binomial_interval

@@ -4,22 +4,18 @@ reason.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from rtk_logs import edited, kept, rtk, simulated, without_products
 
 from gnss_logs import PLACE, groups, only, run, without
 from pntegrity.bounds.ism import Ism
 from pntegrity.monitors.separation import Separation
 from pntegrity.pipeline import Outcome
 from pntegrity.records import Bound, Epoch
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimators"))
-from rtk_logs import edited, kept, rtk, simulated, without_products
 
 N = 30
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -12,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rtk_logs
+import test_ppp
 
 from gnss_logs import PLACE, fingerprint, log, navigation, options, run, without
 from pntegrity.bounds.ism import Ism
@@ -26,10 +27,6 @@ from pntegrity.records import Epoch, State
 from pntegrity.replay import monitored
 from pntegrity.report.write import entries
 from pntegrity.simulate.faults import apply_faults, parse_fault
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimators"))
-import rtk_logs
-import test_ppp
 
 AT, STEP = 15, 30
 
