@@ -27,6 +27,9 @@ from pntegrity.kernels.tails import chi2_threshold, max_threshold
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
+#: Of a fault's square so much is rounding.
+ROUNDING = 1e-11
+
 __all__ = [
     "Courses", "Gains", "LeftOut", "WithoutSource", "courses", "left_out", "literal_separation", "responses",
     "separated",
@@ -162,7 +165,7 @@ class Courses:
     Parameters
     ----------
     means : ndarray, shape (D, h)
-        What each unit fault makes of the whitened innovations.
+        What each unit fault makes of the whitened innovations; a fault's lie side by side in memory.
     signature, onset : ndarray of int, shape (h,)
         Which signature, and the epoch of the window at which it begins; courses of one signature are
         neighbours.
@@ -171,6 +174,15 @@ class Courses:
     means: FloatArray
     signature: IntArray
     onset: IntArray
+
+    def those(self, which: IntArray | npt.NDArray[np.bool_], first: int = 0) -> Courses:
+        """Return some of the courses, without the first rows."""
+        return Courses(self.means.T[:, first:][which].T, self.signature[which], self.onset[which])
+
+    @property
+    def squares(self) -> FloatArray:
+        """The square of each unit fault's mean."""
+        return np.asarray(np.einsum("hd,hd->h", self.means.T, self.means.T))
 
 
 def courses(
@@ -193,18 +205,20 @@ def courses(
         Epochs at which faults may begin.
     """
     s, ends = touched[0][0].shape[1], np.cumsum([0] + [len(g) for g, _ in touched])
-    slope, level = np.zeros((len(A), s)), np.zeros((len(A), s))
-    found, wanted = {}, set(onsets)
+    slope, level = np.zeros((s, len(A))), np.zeros((s, len(A)))
+    at = {k: i for i, k in enumerate(sorted(onsets))}
+    means = np.empty((s, len(at), len(A)))
     for k in range(len(touched) - 1, -1, -1):
-        rows, (growing, constant) = A[:, ends[k] : ends[k + 1]], touched[k]
-        grows = rows @ growing
-        slope += grows
-        level += rows @ constant + (t_s[k] - t_s[0]) * grows
-        if k in wanted:
-            found[k] = level + (step_s - (t_s[k] - t_s[0])) * slope
-    order = sorted(found)
-    means = np.stack([found[k] for k in order], axis=2).reshape(len(A), -1)
-    return Courses(means, np.repeat(np.arange(s), len(order)), np.tile(np.array(order, dtype=np.intp), s))
+        (growing, constant), first = touched[k], ends[k]
+        response = A[first:, first : ends[k + 1]].T  # nothing before it moves
+        grows = growing.T @ response
+        slope[:, first:] += grows
+        level[:, first:] += constant.T @ response + (t_s[k] - t_s[0]) * grows
+        if k in at:
+            np.multiply(slope, step_s - (t_s[k] - t_s[0]), out=means[:, at[k]])
+            means[:, at[k]] += level
+    order = np.array(sorted(at), dtype=np.intp)
+    return Courses(means.reshape(-1, len(A)).T, np.repeat(np.arange(s), len(at)), np.tile(order, s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,24 +242,39 @@ class WithoutSource:
         return np.linalg.qr(self.out)[0]
 
     @cached_property
-    def means(self) -> FloatArray:
-        """The other rows' faults as far as the rest of the window shows them, unit vectors; 0: not at all."""
-        left = self.faults.means - self.base @ (self.base.T @ self.faults.means)
-        size = np.linalg.norm(left, axis=0)
-        return np.asarray(np.divide(left, size, out=np.zeros_like(left), where=size**2 > LEAST))
+    def _inside(self) -> FloatArray:
+        """What of the other rows' faults the rows left out can do as well, shape (h, k)."""
+        return self.faults.means.T @ self.base
+
+    @cached_property
+    def seen(self) -> FloatArray:
+        """The square of what is left of each unit fault of the other rows; 0: nothing that counts."""
+        whole = self.faults.squares
+        left = whole - np.einsum("hk,hk->h", self._inside, self._inside)
+        return np.asarray(np.where(left > np.maximum(LEAST, ROUNDING * whole), left, 0.0))
 
     def explained(self, white: FloatArray) -> FloatArray:
         """Return what each of the other rows' faults explains of whitened innovations (D,) or (D, runs)."""
-        return np.asarray((self.means.T @ white) ** 2)
+        dots = self.faults.means.T @ (white - self.base @ (self.base.T @ white))
+        seen = self.seen.reshape((-1,) + (1,) * (dots.ndim - 1))
+        return np.asarray(np.divide(dots**2, seen, out=np.zeros_like(dots), where=seen > 0.0))
 
     def allowed(self, p: float) -> float:
         """Return what the largest exceeds with a probability of at most `p` where nothing else is at
         fault.
         """
-        seen = np.flatnonzero(np.abs(self.means).max(axis=0, initial=0.0) > 0.0)
+        seen = np.flatnonzero(self.seen)
         if not len(seen):
             return float("inf")
-        chosen, signature = self.means[:, seen], self.faults.signature[seen]
-        near = np.abs(np.einsum("di,di->i", chosen[:, :-1], chosen[:, 1:]))
-        rho = np.append(0.0, np.where(signature[1:] == signature[:-1], near, 0.0))
+        signature = self.faults.signature[seen]
+        next_to = np.flatnonzero(signature[1:] == signature[:-1])
+        rho = np.zeros(len(seen))
+        rho[next_to + 1] = self._correlation(seen[next_to], seen[next_to + 1])
         return max_threshold(np.minimum(rho, 1.0), p) ** 2
+
+    def _correlation(self, one: IntArray, other: IntArray) -> FloatArray:
+        """Return how alike faults are in what is left of them, without a sign."""
+        means, inside = self.faults.means.T, self._inside
+        both = np.einsum("hd,hd->h", means[one], means[other])
+        both -= np.einsum("hk,hk->h", inside[one], inside[other])
+        return np.asarray(np.abs(both) / np.sqrt(self.seen[one] * self.seen[other]))

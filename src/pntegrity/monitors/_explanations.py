@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from pntegrity.kernels.source_test import WithoutSource
+from pntegrity.monitors._gains import Gains
 from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.records import FloatArray
 from pntegrity.verdicts import stands_out
@@ -86,21 +87,18 @@ def first_of_all(found: Sequence[Explanation]) -> Explanation | None:
     return found[0] if stands_out([e.names for e in found]) else None
 
 
-def explanations(
-    evidence: Evidence, white: FloatArray, sets: Sequence[tuple[str, ...]], p: float
-) -> list[list[Explanation]]:
-    """Return for each run whether sets of sources explain its whitened innovations, shape (D, runs).
+def explanations(gains: Gains, sets: Sequence[tuple[str, ...]], p: float) -> list[list[Explanation]]:
+    """Return for each run whether sets of sources explain its whitened innovations.
 
     Whether something is left without them the last part of the window says; how much their own faults explain
     all of it: what tells a source from the others together is the motion before the fault.
     """
-    recent = evidence.recent
-    rests = [(recent.without_sources(names), evidence.gained(white, names)) for names in sets]
+    evidence, recent = gains.evidence, gains.evidence.recent
+    rests = [(recent.without_sources(names), gains.of_sources(names)) for names in sets]
     limits = [p if len(names) == 1 else p * RARELY for names in sets]
-    out = _each_run(white[-len(recent.keys) :], sets, rests, limits)
-    explained = evidence.explained(white)
+    out = _each_run(gains.white[-len(recent.keys) :], sets, rests, limits)
     return [
-        [replace(e, old=evidence.is_old(evidence.best(explained[:, r], e.names))) for e in tried]
+        [replace(e, old=evidence.is_old(evidence.best(gains.explained[:, r], e.names))) for e in tried]
         for r, tried in enumerate(out)
     ]
 
@@ -119,11 +117,11 @@ def faulty_sensors(
     for size in range(1, min(most, len(sensors) - 1) + 1):
         if not len(left):
             break
-        sets = list(combinations(suspicious, size))
+        sets, gains = list(combinations(suspicious, size)), Gains(evidence, white[:, left])
         rests = [
             (
                 evidence.without_sensors(source, names),
-                evidence.gained_by_sensors(white[:, left], source, names),
+                gains.of_sensors(source, names),
             )
             for names in sets
         ]

@@ -7,8 +7,9 @@ one sensor.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import groupby
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from pntegrity.kernels.source_test import Courses, WithoutSource, courses, respo
 from pntegrity.records import FloatArray, Update
 from pntegrity.states import group_of, sensor_of, source_of
 
-__all__ = ["Evidence", "looks", "sensors_in", "sensors_of", "sources_in"]
+__all__ = ["SHIFT", "Evidence", "IntArray", "looks", "sensors_in", "sensors_of", "sources_in"]
 
 IntArray = npt.NDArray[np.intp]
 #: A source with at least so many level sensors, or axes, may shift as a whole: three determine a position.
@@ -133,9 +134,12 @@ class Evidence:
     ----------
     window : tuple of Update
         The oldest first; faults begin within it.
+    whole : Evidence, optional
+        Of a longer window that ends with this one.
     """
 
     window: tuple[Update, ...]
+    whole: Evidence | None = None
 
     @staticmethod
     def of(window: Sequence[Update], rows: int = MOST_ROWS) -> Evidence:
@@ -147,7 +151,8 @@ class Evidence:
     @cached_property
     def recent(self) -> Evidence:
         """The last part of the window, which is looked at without some of its rows."""
-        return Evidence.of(self.window, RECENT_ROWS)
+        last = Evidence.of(self.window, RECENT_ROWS)
+        return self if len(last.window) == len(self.window) else replace(last, whole=self)
 
     @property
     def white(self) -> FloatArray:
@@ -176,7 +181,9 @@ class Evidence:
 
     @cached_property
     def faults(self) -> tuple[tuple[tuple[str, Signature], ...], Courses]:
-        """All faults that may begin in the window: their kinds and signatures, and their courses."""
+        """All faults that may begin in the window: kinds and signatures, by source, and their courses."""
+        if self.whole is not None:
+            return self._part_of(self.whole)
         last = len(self.window) - 1
         t_s = np.array([(u.t_ns - self.window[0].t_ns) * 1e-9 for u in self.window])
         step_s = float(np.median(np.diff(t_s))) if last else 1.0
@@ -189,16 +196,37 @@ class Evidence:
             part = courses(self.A, touched, t_s, step_s, old)
             parts.append(Courses(part.means, part.signature + len(named), part.onset))
             named += [(kind, s) for s in signatures]
-        means, signature, onset = (
-            np.concatenate([getattr(p, name) for p in parts], axis=-1)
-            for name in ("means", "signature", "onset")
+        means = np.concatenate([p.means.T for p in parts]).T
+        signature, onset = (
+            np.concatenate([getattr(p, name) for p in parts]) for name in ("signature", "onset")
         )
         return tuple(named), Courses(means, signature, onset)
+
+    def _part_of(self, whole: Evidence) -> tuple[tuple[tuple[str, Signature], ...], Courses]:
+        """Return those of the faults of a longer window that begin in this one."""
+        named, faults = whole.faults
+        first = len(whole.window) - len(self.window)
+        own = faults.onset >= first
+        part = faults.those(own, len(whole.keys) - len(self.keys))
+        return named, replace(part, onset=part.onset - first)
+
+    @cached_property
+    def columns(self) -> dict[tuple[str, ...], list[slice]]:
+        """Where the faults of which sources are."""
+        named, faults = self.faults
+        each = [sources_in(named[s][1]) for s in faults.signature.tolist()]
+        out: dict[tuple[str, ...], list[slice]] = {}
+        first = 0
+        for sources, run in groupby(each):
+            last = first + sum(1 for _ in run)
+            out.setdefault(sources, []).append(slice(first, last))
+            first = last
+        return out
 
     def _touched(self, kind: str) -> tuple[tuple[Signature, ...], list[tuple[FloatArray, FloatArray]]]:
         """Return the signatures of all epochs, and for each epoch the rows (m, s) that they touch."""
         each = [looks(u, kind) for u in self.window]
-        signatures = tuple(dict.fromkeys(s for own, _ in each for s in own))
+        signatures = tuple(sorted(dict.fromkeys(s for own, _ in each for s in own), key=sources_in))
         at = {s: i for i, s in enumerate(signatures)}
         out = []
         for own, (growing, constant) in each:
@@ -219,7 +247,7 @@ class Evidence:
         rows = np.array([i for i, key in enumerate(self.keys) if group_of(key) in out], dtype=np.intp)
         others = np.array([not out.issuperset(sources_in(s)) for _, s in named])[faults.signature]
         columns = [self.A[:, rows], self.before] if len(out) > 1 else [self.A[:, rows]]
-        return WithoutSource(_chosen(faults, others), np.concatenate(columns, axis=1))
+        return WithoutSource(faults.those(others), np.concatenate(columns, axis=1))
 
     def without_sensors(self, source: str, names: Iterable[str]) -> WithoutSource:
         """Return what the window says of the other sensors of a source without some of them."""
@@ -227,7 +255,7 @@ class Evidence:
         named, faults = self.faults
         rows = [i for i, key in enumerate(self.keys) if group_of(key) == source and sensor_of(key) in out]
         others = np.array([self._is_other(s, source, out) for _, s in named])[faults.signature]
-        return WithoutSource(_chosen(faults, others), self.A[:, np.array(rows, dtype=np.intp)])
+        return WithoutSource(faults.those(others), self.A[:, np.array(rows, dtype=np.intp)])
 
     @staticmethod
     def _is_other(signature: Signature, source: str, out: frozenset[str]) -> bool:
@@ -235,75 +263,13 @@ class Evidence:
         sensors = sensors_in(signature)
         return sources_in(signature) == (source,) and len(sensors) == 1 and sensors[0] not in out
 
-    def explained(self, white: FloatArray) -> FloatArray:
-        """Return what each fault explains of whitened innovations (D,) or (D, runs)."""
-        return np.asarray((self.units.T @ white) ** 2)
-
     def ranked(self, explained: FloatArray) -> list[str]:
         """Return the sources, the one first whose own fault explains most."""
         best: dict[str, float] = {}
-        named, faults = self.faults
-        for e, s in zip(explained.tolist(), faults.signature.tolist(), strict=True):
-            for source in sources_in(named[s][1]):
-                best[source] = max(best.get(source, 0.0), e)
+        for sources, columns in self.columns.items():
+            e = max(float(explained[c].max()) for c in columns)
+            best |= {source: max(best.get(source, 0.0), e) for source in sources}
         return sorted(best, key=lambda g: (-best[g], g))
-
-    def gained(self, white: FloatArray, names: tuple[str, ...]) -> FloatArray:
-        """Return what faults of some sources explain of whitened innovations (D,) or (D, runs) at best: one
-        fault of each, or all as if the position were elsewhere; less 2 for each parameter beyond the first.
-        """
-        named, faults = self.faults
-        each = [np.array([sources_in(s) == (name,) for _, s in named])[faults.signature] for name in names]
-        return np.maximum(self._in_turn(white, each), self._shifted(white, names))
-
-    def gained_by_sensors(self, white: FloatArray, source: str, names: tuple[str, ...]) -> FloatArray:
-        """Return what a fault of each of some sensors of a source explains together at best, as `gained`."""
-        named, faults = self.faults
-        each = [
-            np.array([sources_in(s) == (source,) and sensors_in(s) == (name,) for _, s in named])[
-                faults.signature
-            ]
-            for name in names
-        ]
-        return self._in_turn(white, each)
-
-    def _in_turn(self, white: FloatArray, each: Sequence[npt.NDArray[np.bool_]]) -> FloatArray:
-        """Return what the best fault of each of some lists explains, one after the other."""
-        left, total = white, -2.0 * (len(each) - 1) + np.zeros(white.shape[1:])
-        for own in each:
-            if not own.any():
-                continue
-            unit = self.units[:, own]
-            dots = unit.T @ left
-            at = np.abs(dots).argmax(axis=0)
-            best = np.take_along_axis(dots, np.expand_dims(at, 0), axis=0)[0]
-            total, left = total + best**2, left - unit[:, at] * best
-        return np.asarray(total)
-
-    @cached_property
-    def units(self) -> FloatArray:
-        """Means of all faults, of length 1; 0 where nothing is seen of one."""
-        return _unit(self.faults[1].means)
-
-    def _shifted(self, white: FloatArray, names: tuple[str, ...]) -> FloatArray:
-        """Return what a shift of some sources together explains, in any direction."""
-        out: FloatArray = np.zeros(white.shape[1:])
-        for base in self._shifts(names):
-            y = base.T @ white
-            out = np.maximum(out, np.sum(y * y, axis=0) - 2.0 * (base.shape[1] - 1))
-        return out
-
-    def _shifts(self, names: tuple[str, ...]) -> list[FloatArray]:
-        """Return orthonormal bases (D, axes) of the shifts of some sources together, one a kind and onset."""
-        named, faults = self.faults
-        whole: dict[tuple[str, int], dict[str, FloatArray]] = {}
-        for i, (s, onset) in enumerate(zip(faults.signature.tolist(), faults.onset.tolist(), strict=True)):
-            kind, signature = named[s]
-            if signature.level and signature.level[0].startswith(SHIFT) and sources_in(signature)[0] in names:
-                axes = whole.setdefault((kind, onset), {})
-                axis = signature.level[0]
-                axes[axis] = axes.get(axis, 0.0) + faults.means[:, i]
-        return [np.linalg.qr(np.stack(list(axes.values()), axis=1))[0] for axes in whole.values()]
 
     def is_old(self, fault: int) -> bool:
         """Tell whether a fault begins at the oldest onset that is looked at."""
@@ -325,7 +291,3 @@ def _unit(means: FloatArray) -> FloatArray:
     """Return columns of length 1; 0 where there is nothing."""
     size = np.linalg.norm(means, axis=0)
     return np.asarray(np.divide(means, size, out=np.zeros_like(means), where=size**2 > LEAST))
-
-
-def _chosen(faults: Courses, mask: npt.NDArray[np.bool_]) -> Courses:
-    return Courses(faults.means[:, mask], faults.signature[mask], faults.onset[mask])

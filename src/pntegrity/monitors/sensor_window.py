@@ -13,6 +13,7 @@ from pntegrity.kernels.sensor_window import SensorTests, Sets, expanded, sets_of
 from pntegrity.kernels.separation import Subfilters, advance, predicted, replicate
 from pntegrity.kernels.windows import Form, QuadraticTest
 from pntegrity.monitors._explanations import explanations, faulty_sensors, minimal
+from pntegrity.monitors._gains import Gains
 from pntegrity.monitors._options import check_epochs, check_sets, check_test
 from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.monitors._window import Window, no_redundancy, quadratic_test, unavailable
@@ -147,8 +148,9 @@ class SensorWindow:
     def _named(self, window: Window, verdict: Verdict) -> Verdict:
         evidence = Evidence.of(window)
         y = evidence.white[:, None]
-        sources = evidence.ranked(evidence.explained(y)[:, 0])[:SUSPICIOUS]
-        tried = explanations(evidence, y, [(s,) for s in sources], self.p_identify)[0]
+        gains = Gains(evidence, y)
+        sources = evidence.ranked(gains.explained[:, 0])[:SUSPICIOUS]
+        tried = explanations(gains, [(s,) for s in sources], self.p_identify)[0]
         found = minimal(tried) or tuple(tried[:1])
         suspects, unsure = [], len(found) != 1
         for one in found:

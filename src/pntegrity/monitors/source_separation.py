@@ -15,6 +15,7 @@ from pntegrity.kernels.source_test import left_out
 from pntegrity.kernels.tails import chi2_threshold
 from pntegrity.monitors import _hypotheses
 from pntegrity.monitors._explanations import Explanation, explanations, minimal
+from pntegrity.monitors._gains import Gains
 from pntegrity.monitors._hypotheses import HypothesesMemory
 from pntegrity.monitors._members import in_order
 from pntegrity.monitors._options import check_epochs, check_sets, check_test
@@ -206,7 +207,8 @@ class Identification:
         p : float
             Probability with which those who are at fault are not found.
         """
-        first = Identification(evidence, evidence.explained(white))
+        gains = Gains(evidence, white[:, None])
+        first = Identification(evidence, gains.explained[:, 0])
         ranked = evidence.ranked(first.explained)
         sets = [
             names
@@ -214,7 +216,7 @@ class Identification:
             for names in combinations(ranked[: ALONE if size == 1 else AMONG], size)
             if size < len(ranked) or size == 1
         ]
-        tried = explanations(evidence, white[:, None], sets, p)[0]
+        tried = explanations(gains, sets, p)[0]
         return replace(first, tried=tuple(tried))
 
     @property

@@ -16,6 +16,7 @@ from pntegrity.kernels.linear import whiten
 from pntegrity.kernels.signatures import Signature, masks
 from pntegrity.monitors import _hypotheses
 from pntegrity.monitors._explanations import Explanation, explanations, faulty_sensors, first_of_all, minimal
+from pntegrity.monitors._gains import Gains
 from pntegrity.monitors._hypotheses import HypothesesMemory
 from pntegrity.monitors._sources import Evidence, sensors_of
 from pntegrity.monitors.source_separation import SourceSeparation
@@ -255,7 +256,7 @@ class Study:
         y = _window(evidence, k, white)
         sources = list(sensors_of(self.model.keys))
         sets = [names for size in (1, 2) for names in combinations(sources, size)]
-        return [minimal(tried) for tried in explanations(evidence, y, sets, self.monitor.p_identify)]
+        return [minimal(tried) for tried in explanations(Gains(evidence, y), sets, self.monitor.p_identify)]
 
     def sensors(self, k: int, white: FloatArray, source: str) -> list[tuple[str, ...]]:
         """Return the sensors at fault of each run at an epoch, none where they cannot be told."""
@@ -296,7 +297,7 @@ class Study:
         for names in sorted({told.sources[r] for r in now}):
             own = np.array([r for r in now if told.sources[r] == names], dtype=np.intp)
             y = _window(evidence, k, white[:, :, own])
-            explained = evidence.explained(y)
+            explained = Gains(evidence, y).explained
             for i, r in enumerate(own):
                 best = evidence.best(explained[:, i], names)
                 told.onset[r] = k + 1 - len(evidence.window) + int(evidence.faults[1].onset[best])
