@@ -59,6 +59,8 @@ class Fault:
         ``"m"``, ``"s"`` or ``"rad"``: what rows it falls on are in.
     axis : tuple of float, optional
         Where the direction points, ECEF; known from the first position on.
+    place_m : tuple of float, optional
+        About where satellites are seen from, ECEF.
     """
 
     groups: str
@@ -73,6 +75,7 @@ class Fault:
     sensor: str = ""
     unit: str = "m"
     axis: tuple[float, float, float] | None = None
+    place_m: tuple[float, float, float] | None = None
 
     def onset_ns(self, first_ns: int) -> int:
         """Return the time of the onset in a log that begins at `first_ns`."""
@@ -97,7 +100,7 @@ class Fault:
         if (self.sensor and sensor_of(key) != self.sensor) or not self._fits(signal, timed):
             return False
         if self.signals in TOWARDS:
-            return signal in PLACE
+            return signal in PLACE or is_satellite(group) or is_satellite(sensor_of(key))
         if self.signals:
             return self.signals == "*" or signal.startswith(self.signals)
         return signal.startswith("C") if is_satellite(group) else not is_rate(key)

@@ -22,6 +22,7 @@ GRAMMAR = """a fault is written [TARGET] KIND SIZE UNIT [PERIOD s] [START:END], 
   lbl bias 5 ms 1200:2400           a source of a vehicle: its travel times; m is for lengths, deg for angles
   lbl.T1 bias 5 ms 1200:2400        one sensor of it: a beacon; also gnss.G05, usbl.bearing
   gnss:north ramp 0.05 m/s 1200:    positions of a source, towards north, south, east, west, up or down
+  *:north ramp 0.3 m/s 100:200      all satellites as from a place that drifts (spoofing); G:north, gnss:north
   gnss:RX bias 2 m 1200:            one axis of them, ECEF
 times: seconds START:END, or GPS 2019-01-14T06:20:00/2019-01-14T06:25:00; the end itself is without the fault
 units: m cm mm km; ns us of satellites (times the speed of light); ms s; deg mrad rad; each with /s or /s^2"""

@@ -2,7 +2,8 @@
 
 ``"G05 ramp 0.1 m/s 200:300"`` is a ramp on the code of G05 from 200 s to 300 s after the first epoch.
 `GRAMMAR` has it all. Level rows (code, carrier) get the fault's course ``f(t)``; where a target takes range
-rates along (``G05:*``), these get its derivative, so that a satellite clock that runs away looks like one.
+rates along (``G05:*``), these get its derivative, so that a satellite clock that runs away looks like one. A
+fault in a direction (``G:north``) changes each row as a receiver elsewhere would have it.
 """
 
 from __future__ import annotations
@@ -13,20 +14,23 @@ from dataclasses import replace
 import numpy as np
 
 from pntegrity.kernels.signatures import is_rate
-from pntegrity.physics.frames import enu_rotation
+from pntegrity.physics.time import to_iso
 from pntegrity.records import Epoch, FloatArray, Observation
+from pntegrity.simulate._directions import directed, share
 from pntegrity.simulate._fault import PLACE, TOWARDS, Fault
 from pntegrity.simulate._fault_text import GRAMMAR, describe, parse_fault
 from pntegrity.states import is_satellite, sensor_of
 
 __all__ = [
-    "GRAMMAR", "Fault", "apply_faults", "describe", "parse_fault", "signature", "touches_any", "units_of",
+    "GRAMMAR", "Fault", "apply_faults", "describe", "missed", "parse_fault", "signature", "touches_any",
+    "units_of",
 ]  # fmt: skip
 
 
 def signature(
-    fault: Fault, keys: Sequence[str], t_ns: int, first_ns: int, timed: Sequence[bool | None] | None = None
-) -> FloatArray:
+    fault: Fault, keys: Sequence[str], t_ns: int, first_ns: int, timed: Sequence[bool | None] | None = None,
+    along: FloatArray | None = None,
+) -> FloatArray:  # fmt: skip
     """Return what a fault adds to each row at a time, shape (len(keys),).
 
     Parameters
@@ -37,17 +41,21 @@ def signature(
         The time, and that of the log's first epoch.
     timed : sequence of bool or None, optional
         Which rows are travel times, as far as known.
+    along : ndarray, optional
+        How much of a fault in a direction falls on each row.
 
     Raises
     ------
     ValueError
-        A fault in a direction whose place nobody told.
+        A fault in a direction without `along`.
 
     Examples
     --------
     >>> signature(parse_fault("G05 ramp 0.5 m/s 2:"), ("G05:C1C", "G07:C1C"), 6_000_000_000, 0).tolist()
     [2.0, 0.0]
     """
+    if fault.signals in TOWARDS and along is None:
+        raise ValueError(f"a fault to the {fault.signals} needs positions: `apply_faults` finds them")
     out = np.zeros(len(keys))
     onset, end = fault.onset_ns(first_ns), fault.end_ns(first_ns)
     over = end is not None and t_ns >= end
@@ -59,32 +67,8 @@ def signature(
     only_rates = fault.signals.startswith("D")
     for i, key in enumerate(keys):
         if fault.touches(key, timed[i] if timed is not None else None):
-            out[i] = (rate if is_rate(key) and not only_rates else level) * _share(fault, key)
-    return out
-
-
-def _share(fault: Fault, key: str) -> float:
-    """Return how much of a fault in a direction falls on an axis; 1 of any other."""
-    if fault.signals not in TOWARDS:
-        return 1.0
-    if fault.axis is None:
-        raise ValueError(f"a fault to the {fault.signals} needs a position: `apply_faults` finds it")
-    return fault.axis[PLACE.index(key.partition(":")[2])]
-
-
-def _placed(fault: Fault, epoch: Epoch) -> Fault:
-    """Return the fault with its direction in ECEF, where it has one and the epoch has a position."""
-    if fault.signals not in TOWARDS or fault.axis is not None:
-        return fault
-    for o in epoch.observations:
-        place = {
-            k.partition(":")[2]: y for k, y in zip(o.keys, o.y.tolist(), strict=True) if fault.touches(k)
-        }
-        if set(place) == set(PLACE):
-            axis = np.array(TOWARDS[fault.signals]) @ enu_rotation(np.array([place[k] for k in PLACE]))
-            x, y, z = axis.tolist()
-            return replace(fault, axis=(x, y, z))
-    return fault
+            out[i] = rate if is_rate(key) and not only_rates else level
+    return out if along is None else out * along
 
 
 def _times(o: Observation) -> list[bool | None]:
@@ -119,6 +103,35 @@ def units_of(fault: Fault, epochs: Sequence[Epoch]) -> tuple[str, ...]:
     return tuple(other.unit for other in others if touches_any(other, epochs))
 
 
+def missed(fault: Fault, epochs: Sequence[Epoch]) -> str:
+    """Return in words why a fault falls on no row: what is not measured, or when it is; empty where it does.
+
+    Times are on the fault's own clock: seconds after the first epoch, or GPS time.
+    """
+    if touches_any(fault, epochs):
+        return ""
+    always = replace(fault, begin_ns=0, stop_ns=None, absolute=False)
+    there = [e.t_ns for e in epochs if touches_any(always, (e,))]
+    if not there:
+        who = f"{fault.groups}.{fault.sensor}" if fault.sensor else fault.groups
+        measured = units_of(always, epochs)
+        told = f": {who} measures {' and '.join(measured)}, not {fault.unit}" if measured else ""
+        return f"no such row in the log{told}"
+    first_ns, last_ns = epochs[0].t_ns, epochs[-1].t_ns
+    if any(fault.active(e.t_ns, first_ns) for e in epochs):
+        return f"no such row at that time: rows of it are {_span(fault, there[0], there[-1], first_ns)}"
+    step = f"{float(np.median(np.diff([e.t_ns for e in epochs]))) * 1e-9:.4g} s" if len(epochs) > 1 else ""
+    often = f", every {step}" if step else ""
+    return f"no epoch in that time: epochs are {_span(fault, first_ns, last_ns, first_ns)}{often}"
+
+
+def _span(fault: Fault, begin_ns: int, end_ns: int, first_ns: int) -> str:
+    if fault.absolute:
+        return f"from {to_iso(begin_ns)} to {to_iso(end_ns)}"
+    seconds = [f"{(t - first_ns) * 1e-9:.10g}" for t in (begin_ns, end_ns)]
+    return f"from {seconds[0]} s to {seconds[1]} s after the first"
+
+
 def apply_faults(
     epochs: Iterable[Epoch], faults: Sequence[Fault], first_ns: int | None = None
 ) -> list[Epoch]:
@@ -134,7 +147,9 @@ def apply_faults(
     out: list[Epoch] = []
     for epoch in epochs:
         first_ns = epoch.t_ns if first_ns is None else first_ns
-        faults = [_placed(f, epoch) for f in faults]
+        faults = [
+            directed(f, epoch) if f.axis is None or f.active(epoch.t_ns, first_ns) else f for f in faults
+        ]
         out.append(_faulty(epoch, faults, first_ns))
     return out
 
@@ -145,7 +160,8 @@ def _faulty(epoch: Epoch, faults: Sequence[Fault], first_ns: int) -> Epoch:
     for o in epoch.observations:
         timed = _times(o)
         shift = sum(
-            (signature(f, o.keys, epoch.t_ns, first_ns, timed) for f in faults), np.zeros(len(o.keys))
+            (signature(f, o.keys, epoch.t_ns, first_ns, timed, share(f, o)) for f in faults),
+            np.zeros(len(o.keys)),
         )
         here = shift != 0.0
         changed |= bool(here.any())
