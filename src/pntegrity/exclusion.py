@@ -49,6 +49,8 @@ def decide(update: Update, verdicts: Sequence[Verdict], policy: Policy, previous
     level = [v for name in policy.identifying for v in verdicts if v.monitor == name]
     alarmed = [v for v in level if v.status == "alert"]
     if alarmed and alarmed[0] is level[0] and level[0].suspects:
+        if not policy.trust_prior and _most_are_named(update, level[0]):
+            return Decision(relax=True)
         return _from_names(update, [v for v in alarmed if v.suspects])
     if alarmed and not update.excluded and policy.trust_prior:
         return Decision(reason=_untold(alarmed[0], level[0]))
@@ -109,6 +111,12 @@ def _from_names(update: Update, alerts: Sequence[Verdict]) -> Decision:
     )  # fmt: skip
     others = tuple(dict.fromkeys(s.groups for s in chosen.suspects[1:]))
     return Decision(tuple(made), suspect.onset_ns, alternatives=others if doubtful else ())
+
+
+def _most_are_named(update: Update, verdict: Verdict) -> bool:
+    """Tell whether most sources of an epoch would be at fault: then they may be right, and the prior not."""
+    first = verdict.foremost
+    return first is not None and 2 * len(first.groups) > len(update.groups())
 
 
 def _names(update: Update, groups: tuple[str, ...], sensors: tuple[str, ...]) -> tuple[str, ...]:

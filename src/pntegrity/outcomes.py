@@ -15,7 +15,9 @@ __all__ = ["Attempt", "Checkpoint", "Outcome", "Reviewed"]
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """All that a pipeline remembers; `reacquired_ns`: when a group came back that had not proved itself."""
+    """All that a pipeline remembers; `reacquired_ns`: when a group came back that had not proved itself;
+    `doubt_ns`: when somebody was last out in doubt.
+    """
 
     state: State = field(default_factory=State.empty)
     memories: tuple[Any, ...] = ()
@@ -24,6 +26,7 @@ class Checkpoint:
     counts: Mapping[str, int] = field(default_factory=dict)
     alert_since_ns: int | None = None
     reacquired_ns: int | None = None
+    doubt_ns: int | None = None
 
 
 @dataclass(frozen=True, eq=False)

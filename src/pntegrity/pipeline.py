@@ -16,7 +16,7 @@ from pntegrity.exclusion import Decision, Exclusion, Policy, Standing, decide
 from pntegrity.outcomes import Attempt, Checkpoint, Outcome, Reviewed
 from pntegrity.protocols import Estimator, Monitor, Switching, begun_again, carried, judged, resumes, stepped
 from pntegrity.proving import Past, Proof, is_due, prove
-from pntegrity.readmission import distrusting, left_out, reacquired, review
+from pntegrity.readmission import distrusting, left_out, mostly_out, reacquired, review
 from pntegrity.records import Epoch, State, Status, Update, Verdict, join_reasons
 from pntegrity.states import group_of, is_left_out, names_sensor
 
@@ -78,12 +78,13 @@ class Pipeline:
     ) -> tuple[Attempt, tuple[Exclusion, ...], str]:
         """Exclude until no monitor alarms, nothing more can be left out, or the limit is reached."""
         reasons: list[str] = []
-        relaxed, policy = _is_reacquired(now), distrusting(self.policy, now.reacquired_ns, epoch.t_ns)
+        usual, relaxed = distrusting(self.policy, now.reacquired_ns, epoch.t_ns), _is_reacquired(now)
+        policy = replace(usual, trust_prior=False) if self._is_shaken(now) else usual
         previous_ns = now.state.t_ns if len(now.state) else epoch.t_ns
         while self.policy.exclude and _alert(attempt.verdicts) and len(made) < self.policy.most:
             decision = decide(attempt.updates[-1], attempt.verdicts, policy, previous_ns)
             if decision.relax and not relaxed:
-                relaxed = True
+                relaxed, policy = True, usual
                 attempt = self._attempt(now, epoch, _onsets(made), relaxed, _left(made))
                 continue
             new = tuple(e for e in decision.exclusions if e.group not in attempt.excluded)
@@ -124,12 +125,14 @@ class Pipeline:
         The past is run again with them, from before the onset on, and the monitors are asked anew: time has
         passed and may have told one explanation from another.
         """
-        doubtful = {g: s for g, s in now.standing.items() if s.doubtful and _is_looked_at(now, g)}
+        doubtful = {
+            g: s for g, s in now.standing.items() if s.doubtful and not s.inherited and _is_looked_at(now, g)
+        }
         if not doubtful or not self.policy.identifying:
             return now, ()
         standing = {g: s for g, s in now.standing.items() if g not in doubtful}
         past = tuple(replace(p, excluded=p.excluded - doubtful.keys()) for p in now.history)
-        opened = replace(now, standing=standing, history=past)
+        opened = replace(now, standing=standing, history=past, doubt_ns=None)
         onset_ns = min(s.since_ns for s in doubtful.values())
         attempt = self._attempt(opened, epoch, {}, from_ns=2 * onset_ns - epoch.t_ns)
         if not _alert(attempt.verdicts):
@@ -139,7 +142,7 @@ class Pipeline:
             return now, ()
         if {e.group for e in found} == set(doubtful):
             sure = {g: replace(s, doubtful=False) for g, s in doubtful.items()}
-            return replace(now, standing={**now.standing, **sure}), ()
+            return replace(now, standing={**now.standing, **sure}, doubt_ns=None), ()
         return opened, found
 
     def _attempt(
@@ -202,23 +205,28 @@ class Pipeline:
         self, now: Checkpoint, epoch: Epoch, first: Attempt, last: Attempt, made: tuple[Exclusion, ...],
         reason: str,
     ) -> tuple[Outcome, Checkpoint]:  # fmt: skip
-        counts, standing = _with_new(now, made, epoch.t_ns)
+        shaken = self._is_shaken(now)
+        counts, standing = _with_new(now, made, epoch.t_ns, shaken)
+        made = tuple(replace(e, doubtful=True) for e in made) if shaken else made
         reviewed = self._reviewed(now, epoch, last, standing)
         alert = _alert(last.verdicts) or bool(reason)
         since = (now.alert_since_ns if now.alert_since_ns is not None else epoch.t_ns) if alert else None
         patience_s = max(self.policy.restart_s, self.policy.restart_epochs * _step_s(now, epoch.t_ns))
         stuck = since is not None and (epoch.t_ns - since) * 1e-9 >= patience_s and self.policy.exclude
+        doubtful = any(s.doubtful for s in standing.values())
         checkpoint = Checkpoint(
             last.updates[-1].posterior, last.memories, last.history[-self.policy.history :],
             reviewed.standing, counts, since, epoch.t_ns if reviewed.reacquired else now.reacquired_ns,
+            epoch.t_ns if doubtful else now.doubt_ns,
         )  # fmt: skip
         if stuck:
             reason = join_reasons(
                 [reason, f"alert unresolved for {patience_s:.0f} s: the filter starts anew"]
             )
             checkpoint = replace(
-                checkpoint, state=State.empty(epoch.t_ns), history=(), standing={}, alert_since_ns=None
-            )
+                checkpoint, state=State.empty(epoch.t_ns), history=(), standing={}, alert_since_ns=None,
+                doubt_ns=None,
+            )  # fmt: skip
         readmitted = tuple(g for g in standing if g not in reviewed.standing)
         status, told = _told(reviewed.standing, last, alert, reason)
         outcome = Outcome(
@@ -226,6 +234,14 @@ class Pipeline:
             told, reviewed.proofs,
         )  # fmt: skip
         return outcome, checkpoint
+
+    def _is_shaken(self, now: Checkpoint) -> bool:
+        """Tell whether somebody was out in doubt not long ago: the state may have followed who was at fault,
+        and who contradicts it now need not be.
+        """
+        if not self.policy.identifying or now.doubt_ns is None or not now.history:
+            return False
+        return now.doubt_ns >= now.history[0].epoch.t_ns
 
     def _reviewed(
         self, now: Checkpoint, epoch: Epoch, last: Attempt, standing: dict[str, Standing]
@@ -243,16 +259,19 @@ class Pipeline:
 
 
 def _with_new(
-    now: Checkpoint, made: Sequence[Exclusion], t_ns: int
+    now: Checkpoint, made: Sequence[Exclusion], t_ns: int, shaken: bool
 ) -> tuple[dict[str, int], dict[str, Standing]]:
-    """Return how often groups were left out, and who is, with new exclusions."""
+    """Return how often groups were left out, and who is, with new exclusions; `shaken`: these are in doubt,
+    whatever monitors say.
+    """
     counts, standing = dict(now.counts), dict(now.standing)
     for e in made:
         counts[e.group] = counts.get(e.group, 0) + 1
         doubtful = e.doubtful or (e.switch and e.ambiguous)
         standing[e.group] = Standing(
-            e.onset_ns, t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful, size=_size_of(e, t_ns)
-        )
+            e.onset_ns, t_ns, times=counts[e.group], rows=e.rows, doubtful=doubtful or shaken,
+            inherited=shaken and not doubtful, size=_size_of(e, t_ns),
+        )  # fmt: skip
     return counts, standing
 
 
@@ -297,14 +316,14 @@ def _left(made: Sequence[Exclusion]) -> frozenset[str]:
 
 def _misfit(now: Checkpoint, update: Update, new: Sequence[Exclusion], policy: Policy) -> str:
     """Say that more would be left out than can be at fault: then the model is, and nobody must suffer for
-    it. Where monitors identify, sources count that measured lately, and not their sensors.
+    it. Where monitors identify, sources count that measured lately; one most of whose sensors are out is out.
     """
-    out, there = {*update.excluded, *(e.group for e in new)}, set(update.groups())
+    out, there = frozenset([*update.excluded, *(e.group for e in new)]), frozenset(update.groups())
     if policy.identifying:
         since_ns = update.t_ns - LATELY_NS
         past = (p.epoch for p in now.history if p.epoch.t_ns >= since_ns)
-        there |= {group_of(k) for e in past for o in e.observations for k in o.keys}
-        out = {name for name in (*out, *now.standing) if not names_sensor(name)}
+        keys = {k for e in past for o in e.observations for k in o.keys} | {*update.keys, *update.spare_keys}
+        out, there = mostly_out(keys, out | now.standing.keys()), frozenset(map(group_of, keys))
     total = len(out | there)
     if len(out) <= policy.most_excluded * total:
         return ""

@@ -98,13 +98,18 @@ class Standing:
         Where it is a sensor that a monitor named: how large its fault was when it was excluded.
     doubtful : bool
         Whether others could be at fault as well: until its rows show that they are off.
+    inherited : bool
+        Whether that is so because others were out in doubt not long before, and the state may have followed
+        who was at fault: as long as it is out.
     gain : float
         Twice the log-likelihood of those residuals against none, summed over the proof: above 0 the fault is
         still there, as far as anyone can tell.
     times : int
         How often it was excluded before, this one included.
     count : int
-        Epochs with rows of its own in which its residuals were small, in a row.
+        Epochs with rows of its own in which its residuals were small, in a row; from a failed trial on anew.
+    quiet_ns, quiet : int or None, int
+        Since when they have been small, and for how many epochs, whatever came of trials of a fault's end.
     """
 
     since_ns: int
@@ -115,8 +120,11 @@ class Standing:
     anew: bool = False
     rows: tuple[tuple[str, float], ...] = ()
     doubtful: bool = False
+    inherited: bool = False
     gain: float = 0.0
     count: int = 0
+    quiet_ns: int | None = None
+    quiet: int = 0
     size: float = 0.0
 
 

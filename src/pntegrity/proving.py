@@ -71,6 +71,8 @@ class Proof:
         `prove`); 1 where nothing is known of it.
     reason : str
         Why nothing can be said.
+    of_end : bool
+        Whether it was the end of a fault that should have shown: a healthy one has none to show.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Proof:
     limit: float = 0.0
     readmission: float = 1.0
     reason: str = ""
+    of_end: bool = False
 
 
 def left_out_rows(update: Update, name: str) -> npt.NDArray[np.intp]:
@@ -119,21 +122,32 @@ def prove(
     policy : Policy
         `p_readmit` and `p_refuse`.
     """
-    since_ns = standing.clean_ns if standing.clean_ns is not None else history[-1].epoch.t_ns
-    first = next(i for i, p in enumerate(history) if p.epoch.t_ns >= since_ns)
-    window = history[first:]
+    found = _by_size(estimator, _since(history, standing.quiet_ns), name, standing, policy)
+    if not found.reason or not standing.size:
+        return found
+    window = _since(history, standing.clean_ns)
+    before = _before(history[: len(history) - len(window)], name)
+    both = _Run.of(estimator, [*before, *window], name, standing) if before else None
+    return found if both is None else _by_change(both, len(before), policy, found)
+
+
+def _since(history: Sequence[Past], t_ns: int | None) -> Sequence[Past]:
+    """Return the epochs from a time on, the last one where there is none."""
+    first = history[-1].epoch.t_ns if t_ns is None else t_ns
+    return [p for p in history if p.epoch.t_ns >= first]
+
+
+def _by_size(
+    estimator: Estimator, window: Sequence[Past], name: str, standing: Standing, policy: Policy
+) -> Proof:
+    """Return what the rows of a window show of biases in them."""
     proof = Proof(name, window[-1].epoch.t_ns, len(window), False)
     run = _Run.of(estimator, window, name, standing)
     if run is None:
         return replace(proof, reason="nothing was measured")
     least = ENOUGH if len(window) >= policy.history else -np.inf
     trial = Trial(run.gains, run.rows, run.size, policy.p_readmit, policy.p_refuse, least)
-    found = _proof(trial, run.white, proof)
-    if not found.reason or not standing.size:
-        return found
-    before = _before(history[:first], name)
-    both = _Run.of(estimator, [*before, *window], name, standing) if before else None
-    return found if both is None else _by_change(both, len(before), policy, found)
+    return _proof(trial, run.white, proof)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +192,7 @@ def _by_change(run: _Run, before: int, policy: Policy, proof: Proof) -> Proof:
         return proof
     return replace(
         proof, passed=bool(trial.passed(run.white)[0]), statistic=float(trial.estimates(run.white).max()),
-        limit=trial.limit, readmission=float(trial.readmission.max()), reason="",
+        limit=trial.limit, readmission=float(trial.readmission.max()), reason="", of_end=True,
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from pntegrity.proving import Past, Proof, is_due, left_out_rows, passes_now
 from pntegrity.records import Update
 from pntegrity.states import ANEW, group_of, is_left_out
 
-__all__ = ["distrusting", "left_out", "reacquired", "review"]
+__all__ = ["distrusting", "left_out", "mostly_out", "reacquired", "review"]
 
 #: Share of what was learnt of a fault's persistence that is kept from epoch to epoch.
 FORGETTING = 0.9
@@ -64,14 +64,24 @@ def _tested(
         back = s.count >= policy.passes
         return None if back else s, Proof(name, t_ns, s.count, back, largest, limit)
     if update.misfit(rows) > policy.proof_sigma:
-        return replace(s, clean_ns=None, count=0), None
-    s = replace(s, clean_ns=s.clean_ns if s.count else t_ns, count=s.count + 1)
-    if not is_due(s.count, s.times):
+        return _anew(s), None
+    s = replace(
+        s, clean_ns=s.clean_ns if s.count else t_ns, count=s.count + 1,
+        quiet_ns=s.quiet_ns if s.quiet else t_ns, quiet=s.quiet + 1,
+    )  # fmt: skip
+    if not (is_due(s.count, s.times) or is_due(s.quiet, s.times)):
         return s, None
     proof = trial(name, s)
     if proof.passed:
         return None, proof
-    return (s if proof.reason else replace(s, clean_ns=None, count=0)), proof
+    if proof.of_end:
+        return replace(s, clean_ns=None, count=0), proof
+    return (s if proof.reason else _anew(s)), proof
+
+
+def _anew(s: Standing) -> Standing:
+    """Return the exclusion of who must prove itself from now on."""
+    return replace(s, clean_ns=None, count=0, quiet_ns=None, quiet=0)
 
 
 def _absent(s: Standing, t_ns: int, present: bool, policy: Policy) -> Standing | None:
@@ -117,8 +127,21 @@ def reacquired(
 def _was_told(past: Past) -> bool:
     """Tell whether any group had most of its level rows in use."""
     keys = [k for o in past.epoch.observations for k in o.keys if not is_rate(k)]
-    out = Counter(group_of(k) for k in keys if is_left_out(k, past.excluded))
-    return any(2 * out[group] <= count for group, count in Counter(map(group_of, keys)).items())
+    return not {group_of(k) for k in keys} <= mostly_out(keys, past.excluded)
+
+
+def mostly_out(keys: Iterable[str], excluded: frozenset[str]) -> frozenset[str]:
+    """Return the groups of whose level rows more than half are left out.
+
+    Parameters
+    ----------
+    keys : iterable of str
+    excluded : frozenset of str
+        Groups and sensors.
+    """
+    levels = [k for k in keys if not is_rate(k)]
+    out = Counter(group_of(k) for k in levels if is_left_out(k, excluded))
+    return frozenset(g for g, count in Counter(map(group_of, levels)).items() if 2 * out[g] > count)
 
 
 def distrusting(policy: Policy, reacquired_ns: int | None, t_ns: int) -> Policy:

@@ -16,7 +16,7 @@ from pntegrity.sensors.source import Pose, Source, Track
 from pntegrity.simulate.imu import increments, with_errors
 from pntegrity.simulate.motion import Motion, motion_of
 
-__all__ = ["Fault", "VesselLog", "cruise", "measured", "pose_at", "vessel_log", "with_faults"]
+__all__ = ["Fault", "VesselLog", "cruise", "led_astray", "measured", "pose_at", "vessel_log", "with_faults"]
 
 Fault = tuple[str, float, float, float, float]
 """Key of a row, jump and rate a second in its unit, from and to, s."""
@@ -169,3 +169,51 @@ def _faulty(epoch: Epoch, t_s: float, faults: Sequence[Fault]) -> Epoch:
     off = {f[0]: f[1] + f[2] * (t_s - f[3]) for f in faults if f[3] <= t_s < f[4]}
     said = (replace(o, y=o.y + np.array([off.get(k, 0.0) for k in o.keys])) for o in epoch.observations)
     return replace(epoch, observations=tuple(said)) if off else epoch
+
+
+def led_astray(
+    log: VesselLog, names: Sequence[str], enu_mps: Sequence[float], from_s: float, to_s: float
+) -> VesselLog:
+    """Return a log in which some sources measure as from a place that drifts off.
+
+    Parameters
+    ----------
+    log : VesselLog
+    names : sequence of str
+        Of the sources that drift together.
+    enu_mps : sequence of float
+        East, north, up.
+    from_s, to_s : float
+        After the begin of the motion.
+    """
+    first = log.motion.span_ns[0]
+    axes = enu_rotation(log.motion.at([first])[0][0])
+    drift_mps = np.asarray(enu_mps) @ axes
+    apart = [s for s in log.sources if s.name in names]
+
+    def moved(epoch: Epoch) -> Epoch:
+        t_s = (epoch.t_ns - first) * 1e-9
+        if not from_s <= t_s < to_s:
+            return epoch
+        pose = pose_at(log.motion, epoch.t_ns)
+        there = _shifted(pose, drift_mps * (t_s - from_s), drift_mps)
+        said = {s.name: o for o in epoch.observations for s in apart if o.sensor == s.name}
+        new = {s.name: _as_from(s, said[s.name], pose, there) for s in apart if s.name in said}
+        return replace(epoch, observations=tuple(new.get(o.sensor, o) for o in epoch.observations))
+
+    return replace(log, epochs=tuple(moved(e) for e in log.epochs))
+
+
+def _shifted(pose: Pose, by_m: FloatArray, by_mps: FloatArray) -> Pose:
+    track = replace(pose.track, position_m=pose.track.position_m + by_m)
+    return replace(
+        pose, position_m=pose.position_m + by_m, velocity_mps=pose.velocity_mps + by_mps, track=track
+    )
+
+
+def _as_from(source: Source, o: Observation, here: Pose, there: Pose) -> Observation:
+    """Return a measurement as it would be elsewhere, with the errors that it has here."""
+    own = {n.name: 0.0 for n in source.nuisances()}
+    before, after = (source.rows(o, replace(pose, nuisance=own)) for pose in (here, there))
+    off = dict(zip(before.keys, (before.nu - after.nu).tolist(), strict=True))
+    return replace(o, y=o.y + np.array([off.get(k, 0.0) for k in o.keys]))
