@@ -7,6 +7,7 @@ import pytest
 
 from gnss_logs import PLACE, SECOND, START, log, navigation, options
 from pntegrity.physics.frames import enu_rotation
+from pntegrity.records import Epoch, Observation
 from pntegrity.satellite_source import merged
 from pntegrity.sensors.snapshot import Fix, snapshot
 from pntegrity.simulate.faults import apply_faults, parse_fault, signature, touches_any
@@ -51,7 +52,7 @@ def test_one_constellation_alone_leaves_the_others_as_they_are():
 
 def test_satellites_of_a_source_move_as_well():
     name = "bow"
-    made = [e.__class__(e.t_ns, (merged(e, name),)) for e in log(2)]
+    made = [Epoch(e.t_ns, (merged(e, name),)) for e in log(2)]
     moved = apply_faults(made, [parse_fault("bow:north bias 80 m")])[0].observations[0]
     np.testing.assert_allclose(
         moved.y - made[0].observations[0].y,
@@ -62,14 +63,20 @@ def test_satellites_of_a_source_move_as_well():
 
 
 def test_without_a_place_nothing_moves_and_rows_alone_are_refused():
-    few = [
-        e.__class__(e.t_ns, tuple(o.select(np.arange(len(o.keys)) < 3) for o in e.observations))
-        for e in log(2)
-    ]
+    few = [Epoch(e.t_ns, tuple(o.select(np.arange(len(o.keys)) < 3) for o in e.observations)) for e in log(2)]
     faulty = apply_faults(few, [parse_fault("*:north bias 80 m")])
     assert all((a.y == b.y).all() for a, b in zip(few[0].observations, faulty[0].observations, strict=True))
     with pytest.raises(ValueError, match="needs positions"):
         signature(parse_fault("*:north bias 80 m"), ("G05:C1C",), START, START)
+
+
+@pytest.mark.parametrize("names", [("RX", "RY", "RZ"), ("X", "Y", "Z")])
+def test_positions_move_by_either_name(names):
+    keys = tuple(f"fix:{n}" for n in (*names, "DX"))
+    o = Observation("fix", START, keys, np.append(PLACE, 0.5))
+    moved = apply_faults([Epoch(START, (o,))], [parse_fault("fix:east bias 3 m")])[0].observations[0].y - o.y
+    np.testing.assert_allclose(AXES @ moved[:3], [3.0, 0.0, 0.0], atol=1e-6)
+    assert moved[3] == 0.0
 
 
 def test_products_do_not_move():

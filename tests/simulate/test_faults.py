@@ -217,10 +217,14 @@ def test_faults_of_sensors_hit_the_sensor_and_its_source():
 
 
 def test_words_for_faults_of_sources():
-    assert describe(parse_fault("lbl.T1 bias 5 ms 10:20")) == "bias of 0.005 s on lbl.T1, from 10 s to 20 s"
+    assert describe(parse_fault("lbl.T1 bias 5 ms 10:20")) == "bias of 5 ms on lbl.T1, from 10 s to 20 s"
     assert (
         describe(parse_fault("gnss:north ramp 0.05 m/s"))
         == "ramp of 0.05 m/s on gnss northwards, from 0 s on"
+    )
+    assert describe(parse_fault("*:up bias 2 m")) == "bias of 2 m on all groups upwards, from 0 s on"
+    assert (
+        describe(parse_fault("G:down bias 2 m")) == "bias of 2 m on all G satellites downwards, from 0 s on"
     )
     assert describe(parse_fault("usbl bias 1 deg")) == "bias of 1 deg on usbl, from 0 s on"
 

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from pntegrity.bounds.ism import Ism
 from pntegrity.estimators.multi_source import MultiSource
@@ -69,10 +70,14 @@ class Run:
         """Return the protection levels, east, north, up, shape (n, 3); inf where there are none."""
         return np.array([_level(o) for o in self.outcomes])
 
+    def beyond(self) -> npt.NDArray[np.bool_]:
+        """Tell which epochs have an error beyond a level, and no alert."""
+        beyond = (np.abs(self.error_m[:, [1, 0, 2]]) > self.levels_m()).any(axis=1)
+        return np.asarray(beyond & np.array([o.status == "ok" for o in self.outcomes]))
+
     def misleading(self) -> int:
         """Return how many epochs have an error beyond a level, and no alert."""
-        beyond = (np.abs(self.error_m[:, [1, 0, 2]]) > self.levels_m()).any(axis=1)
-        return int((beyond & np.array([o.status == "ok" for o in self.outcomes])).sum())
+        return int(self.beyond().sum())
 
 
 def _level(outcome: Outcome) -> tuple[float, float, float]:

@@ -45,11 +45,12 @@ def directed(fault: Fault, epoch: Epoch) -> Fault:
 def _told(fault: Fault, epoch: Epoch) -> FloatArray | None:
     """Return the first position among what the fault falls on."""
     for o in epoch.observations:
-        found = {
-            k.partition(":")[2]: y for k, y in zip(o.keys, o.y.tolist(), strict=True) if fault.touches(k)
-        }
-        if found.keys() >= set(PLACE):
-            return np.array([found[k] for k in PLACE])
+        own = (
+            (k.partition(":")[2], y) for k, y in zip(o.keys, o.y.tolist(), strict=True) if fault.touches(k)
+        )
+        found = {PLACE[name]: y for name, y in own if name in PLACE}
+        if len(found) == 3:
+            return np.array([found[axis] for axis in range(3)])
     return None
 
 
@@ -95,4 +96,4 @@ def share(fault: Fault, o: Observation) -> FloatArray:
     if "sv_pos_m" in o.aux:
         return np.asarray(-geometry(np.array(fault.place_m), o.aux["sv_pos_m"]).los @ axis)
     names = [k.partition(":")[2] for k in o.keys]
-    return np.array([axis[PLACE.index(n)] if n in PLACE else 0.0 for n in names])
+    return np.array([axis[PLACE[n]] if n in PLACE else 0.0 for n in names])

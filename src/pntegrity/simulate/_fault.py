@@ -27,7 +27,8 @@ TOWARDS = {
     "east": (1.0, 0.0, 0.0), "north": (0.0, 1.0, 0.0), "up": (0.0, 0.0, 1.0),
     "west": (-1.0, 0.0, 0.0), "south": (0.0, -1.0, 0.0), "down": (0.0, 0.0, -1.0),
 }  # fmt: skip
-PLACE = ("RX", "RY", "RZ")
+#: Rows of positions, and their axes.
+PLACE = {"RX": 0, "RY": 1, "RZ": 2, "X": 0, "Y": 1, "Z": 2}
 
 
 @dataclass(frozen=True)

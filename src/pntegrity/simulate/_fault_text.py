@@ -150,7 +150,7 @@ def describe(fault: Fault) -> str:
     'ramp of 0.1 m/s on the code of G05, from 200 s to 300 s'
     """
     power = fault.order + (1 if fault.signals.startswith("D") else 0)
-    factor, base = (180.0 / np.pi, "deg") if fault.unit == "rad" else (1.0, fault.unit)
+    factor, base = {"rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms")}.get(fault.unit, (1.0, fault.unit))
     unit = base + ("", "/s", "/s^2", "/s^3")[power]
     size = f"{fault.size * factor:g} {unit}" + (f" and {fault.period_s:g} s" if fault.kind == "sine" else "")
     return f"{fault.kind.replace('-', ' ')} of {size} on {_where(fault)}, {_when(fault)}"
@@ -164,6 +164,8 @@ def _where(fault: Fault) -> str:
     who = "all groups" if fault.groups == "*" else fault.groups
     if fault.groups.isalpha() and len(fault.groups) == 1:
         who = f"all {fault.groups} satellites"
+    if fault.signals in TOWARDS:
+        return f"{who} {_towards(fault)}"
     what = {"": "the code", "C": "the code", "L": "the carrier", "D": "the range rates", "*": "all rows"}
     return f"{what.get(fault.signals, fault.signals)} of {who}"
 
@@ -171,9 +173,13 @@ def _where(fault: Fault) -> str:
 def _where_of_source(fault: Fault) -> str:
     who = f"{fault.groups}.{fault.sensor}" if fault.sensor else fault.groups
     if fault.signals in TOWARDS:
-        return who + (" upwards" if fault.signals == "up" else f" {fault.signals}wards")
+        return f"{who} {_towards(fault)}"
     what = {"": "", "*": "all rows of ", "D": "the rates of "}
     return what.get(fault.signals, f"{fault.signals} of ") + who
+
+
+def _towards(fault: Fault) -> str:
+    return f"{fault.signals}wards"
 
 
 def _when(fault: Fault) -> str:

@@ -22,8 +22,8 @@ from pntegrity.simulate._fault_text import GRAMMAR, describe, parse_fault
 from pntegrity.states import is_satellite, sensor_of
 
 __all__ = [
-    "GRAMMAR", "Fault", "apply_faults", "describe", "missed", "parse_fault", "signature", "touches_any",
-    "units_of",
+    "GRAMMAR", "Fault", "apply_faults", "describe", "out_of_time", "parse_fault", "signature",
+    "touches_any", "units_of",
 ]  # fmt: skip
 
 
@@ -103,33 +103,27 @@ def units_of(fault: Fault, epochs: Sequence[Epoch]) -> tuple[str, ...]:
     return tuple(other.unit for other in others if touches_any(other, epochs))
 
 
-def missed(fault: Fault, epochs: Sequence[Epoch]) -> str:
-    """Return in words why a fault falls on no row: what is not measured, or when it is; empty where it does.
+def out_of_time(fault: Fault, epochs: Sequence[Epoch]) -> str:
+    """Return in words when the rows of a fault are that falls on none of them; empty where there are none.
 
     Times are on the fault's own clock: seconds after the first epoch, or GPS time.
     """
-    if touches_any(fault, epochs):
-        return ""
     always = replace(fault, begin_ns=0, stop_ns=None, absolute=False)
     there = [e.t_ns for e in epochs if touches_any(always, (e,))]
     if not there:
-        who = f"{fault.groups}.{fault.sensor}" if fault.sensor else fault.groups
-        measured = units_of(always, epochs)
-        told = f": {who} measures {' and '.join(measured)}, not {fault.unit}" if measured else ""
-        return f"no such row in the log{told}"
-    first_ns, last_ns = epochs[0].t_ns, epochs[-1].t_ns
-    if any(fault.active(e.t_ns, first_ns) for e in epochs):
-        return f"no such row at that time: rows of it are {_span(fault, there[0], there[-1], first_ns)}"
-    step = f"{float(np.median(np.diff([e.t_ns for e in epochs]))) * 1e-9:.4g} s" if len(epochs) > 1 else ""
-    often = f", every {step}" if step else ""
-    return f"no epoch in that time: epochs are {_span(fault, first_ns, last_ns, first_ns)}{often}"
+        return ""
+    t_ns = [e.t_ns for e in epochs]
+    if any(fault.active(t, t_ns[0]) for t in t_ns):
+        return f"no such row at that time: rows of it are {_span(fault, there, t_ns[0])}"
+    often = f", every {float(np.median(np.diff(t_ns))) * 1e-9:.4g} s" if len(t_ns) > 1 else ""
+    return f"no epoch in that time: epochs are {_span(fault, t_ns, t_ns[0])}{often}"
 
 
-def _span(fault: Fault, begin_ns: int, end_ns: int, first_ns: int) -> str:
+def _span(fault: Fault, t_ns: Sequence[int], first_ns: int) -> str:
     if fault.absolute:
-        return f"from {to_iso(begin_ns)} to {to_iso(end_ns)}"
-    seconds = [f"{(t - first_ns) * 1e-9:.10g}" for t in (begin_ns, end_ns)]
-    return f"from {seconds[0]} s to {seconds[1]} s after the first"
+        return f"from {to_iso(t_ns[0])} to {to_iso(t_ns[-1])}"
+    begin, end = (f"{(t - first_ns) * 1e-9:.10g}" for t in (t_ns[0], t_ns[-1]))
+    return f"from {begin} s to {end} s after the first"
 
 
 def apply_faults(
