@@ -88,6 +88,35 @@ def test_what_is_no_table(table, text, match):
         table(text)
 
 
+@pytest.mark.parametrize("sent", ["bad", "9" * 20, "1e3"])
+def test_a_line_whose_time_of_transmission_is_none_is_dropped_and_told(table, sent):
+    notes = []
+    (o,) = table(f"t_ns,sent_t_ns,range_m\n{T0},{T0 - 5},400\n{T0 + 1},{sent},400\n", "usbl", notes=notes)
+    assert o.t_ns == T0
+    assert notes == ["acoustics.csv: 1 lines dropped: no time or no usable number, first line 3"]
+
+
+def test_lines_without_any_measurement_are_passed_over(table):
+    (o,) = table(f"t_ns,forward_mps,right_mps\n{T0},1,2\n{T0 + 1},,\n", "dvl")
+    assert o.t_ns == T0
+
+
+def test_seconds_that_are_no_time_are_dropped(table):
+    (o,) = table("t_s,range_m\n1e30,400\n2,4\n", "usbl", origin_ns=T0)
+    assert o.t_ns == T0 + 2 * SECOND
+
+
+def test_notes_name_the_line_of_the_file_comments_counted(table):
+    notes = []
+    table(f"# a\n\n# b\nt_ns,range_m\n{T0},400\nbad,400\n", "usbl", notes=notes)
+    assert notes[0].endswith("first line 6")
+
+
+def test_a_table_of_comments(table):
+    with pytest.raises(InputError, match="nothing but comments"):
+        table("# nothing\n")
+
+
 def test_a_beacon_without_coordinates(table):
     text = LBL + "2024-06-01T10:00:00,A,1,1\n2024-06-01T10:00:01,C,1,1\n"
     with pytest.raises(InputError, match=r"line 3: beacon 'C' has no coordinates. There are those of A, B"):
@@ -236,6 +265,9 @@ def test_gnatss(gnatss):
      ("config.yaml", "site_id: X\ngeoid_undulation: 1\n", "no list `transponders`"),
      ("208__pxp_tt", "27-JUL-22 17:37:45.00 2263261 2383398 77\n", "transponder 3, which has no coordinates"),
      ("208__pxp_tt", "27-XXX-22 17:37:45.00 2263261\n", r"line 1: no ping"),
+     ("208__pxp_tt", f"27-JUL-22 17:37:45.00 {'9' * 20}\n", "line 1: no ping: a negative or an absurd"),
+     ("208__pxp_tt", f"27-JUL-{'9' * 20} 17:37:45.00 2263261\n", "line 1: no ping"),
+     ("208__RPH_TWTT", f"{'7' * 20}.0 1 2 3\n", "line 1: not a time and 3 numbers"),
      ("208__pxp_tt", "27-JUL-22 17:37:45.00 0 0 0\n", "no reply in any ping"),
      ("208__pxp_tt", "28-JUL-22 17:37:45.00 2263261 0 0\n", r"clocks disagree.*J2000 begins"),
      ("208__GPS_POS_FREED", "712215465.0 GPSPOS 1 2 3 0.01 0.02\n", "line 1: not a time and 6 numbers")],

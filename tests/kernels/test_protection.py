@@ -10,6 +10,7 @@ from pntegrity.kernels.protection import (
     false_alert_factor,
     largest_threshold,
     least_level,
+    observed_level,
     protection_level,
 )
 
@@ -116,6 +117,28 @@ def test_the_dominant_mode_is_that_without_which_the_level_falls_most() -> None:
         ]
         assert dominant_mode(level, s0, 0.0, p, s, b, t) == int(np.argmin(others))
     assert dominant_mode(5.0, 1.0, 0.0, [1e-9], [1.0], [0.0], [0.0]) == -1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_observed_level_is_a_root_of_two_tails_and_what_is_more_than_expected(seed: int) -> None:
+    s0, p, s, _, b, expected = bank(seed)
+    apart = np.random.default_rng(seed).uniform(-2.0, 2.0, len(p)) * expected
+    over = np.abs(apart) - expected
+    level, mode = observed_level(1e-7, s0, 0.1, p, s, b, expected, apart)
+    root = level - over.max()
+    around = [log_risk(root * (1.0 + e), s0, 0.1, 2.0 * p, s, b, expected) for e in (-1e-9, 1e-9)]
+    assert around[0] > np.log(1e-7) > around[1]
+    assert over.max() > 0.0
+    assert mode == int(np.argmax(over))
+
+
+def test_an_observed_level_without_surprises_is_that_of_the_dominant_mode() -> None:
+    s0, p, s, _, b, expected = bank(3)
+    level, mode = observed_level(1e-7, s0, 0.1, p, s, b, expected, 0.5 * expected)
+    assert level == pytest.approx(protection_level(1e-7, s0, 0.1, 2.0 * p, s, b, expected), rel=1e-12)
+    assert mode == dominant_mode(level, s0, 0.1, p, s, b, expected)
+    undetected = np.where(np.arange(20) == 4, np.inf, s)
+    assert observed_level(p[4], s0, 0.1, p, undetected, b, expected, 0.0 * p) == (np.inf, 4)
 
 
 def hidden(b, level: float, s0: float, ss: float, t: float):

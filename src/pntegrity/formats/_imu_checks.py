@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pntegrity.errors import InputError
+from pntegrity.kernels.mean_force import mean_force
 from pntegrity.physics.time import SECOND_NS, to_iso
 from pntegrity.records import FloatArray, Inertial
 
@@ -17,6 +18,8 @@ __all__ = ["check_gravity", "quietest", "without_hung"]
 #: What the norm of the specific force at rest may be, m/s^2: gravity of the Earth and 0.5 m/s^2 (50 mg) of
 #: bias, twice and a half what a consumer unit has.
 LEAST_MPS2, MOST_MPS2 = 9.3, 10.3
+#: Rates that bring mean specific forces so much nearer to gravity are right, and so are these.
+STANDARD_MPS2, SWINGS = 9.80665, 0.5
 #: The quietest stretch of this length stands for rest, s.
 QUIET_S = 2.0
 #: A unit that turns faster than this in its quietest stretch, or in one sample of a thousand, does not move
@@ -48,8 +51,9 @@ def check_gravity(whole: Inertial, path: Path, level: bool, turn: FloatArray) ->
         Saying which unit or axes it looks like.
     """
     force, rate = quietest(whole)
-    _check_norm(float(np.linalg.norm(force)), path)
-    _check_rates(whole, float(np.linalg.norm(rate)), path)
+    if not _never_rests(whole):
+        _check_norm(float(np.linalg.norm(force)), float(np.median(whole.dt_s)), path)
+        _check_rates(whole, float(np.linalg.norm(rate)), path)
     tilt = float(np.degrees(np.arccos(np.clip(-force[2] / np.linalg.norm(force), -1.0, 1.0))))
     if level and tilt > MOST_TILT_DEG:
         raise InputError(
@@ -58,6 +62,19 @@ def check_gravity(whole: Inertial, path: Path, level: bool, turn: FloatArray) ->
             hint="Give the mounting: --imu-axes names the file's axes that point forward, right, down "
             "(-x,y,-z, or flu where x is forward, y left, z up), --imu-mount-deg roll, pitch, yaw",
         )
+
+
+def _never_rests(whole: Inertial) -> bool:
+    """Tell whether the unit swings all the time, as on a rope: its rates turn what it feels into gravity, and
+    better than without them.
+    """
+    increments = (whole.dt_s, whole.angle_rad, whole.velocity_mps)
+    told, body = mean_force(*increments), mean_force(*increments, 0.0)
+    if not len(told):
+        return False
+    off, without = abs(told - STANDARD_MPS2), abs(body - STANDARD_MPS2)
+    inside = ((told >= LEAST_MPS2) & (told <= MOST_MPS2)).all()
+    return bool(inside and np.median(off) < SWINGS * np.median(without))
 
 
 def quietest(whole: Inertial) -> tuple[FloatArray, FloatArray]:
@@ -71,7 +88,7 @@ def quietest(whole: Inertial) -> tuple[FloatArray, FloatArray]:
     return force[k].mean(axis=0), rate[k].mean(axis=0)
 
 
-def _check_norm(norm: float, path: Path) -> None:
+def _check_norm(norm: float, dt_s: float, path: Path) -> None:
     if LEAST_MPS2 <= norm <= MOST_MPS2:
         return
     looks = {
@@ -79,8 +96,10 @@ def _check_norm(norm: float, path: Path) -> None:
         1000.0: "it looks like mg: name the columns acc_x_mg",
         32.17: "it looks like ft/s2: convert it to m/s2",
         96.17: "a factor g too much: it looks like m/s2 that is named g",
+        9.807 * dt_s: "it looks like increments that are named forces: name the columns dv_x_mps",
+        9.807 / dt_s: "it looks like forces that are named increments: name the columns acc_x_mps2",
     }
-    hint = next((words for value, words in looks.items() if abs(norm / value - 1.0) < 0.06), "")
+    hint = "; or ".join(words for value, words in looks.items() if abs(norm / value - 1.0) < 0.06)
     free = "gravity seems to be taken off: give the specific force that the sensor feels"
     hint = hint or (free if norm < 0.5 else "the unit or the scale of the accelerometers is wrong")
     raise InputError(
@@ -99,7 +118,7 @@ def _check_rates(whole: Inertial, quiet_rps: float, path: Path) -> None:
         f"angular rates are absurd: {quiet_rps:.2f} rad/s in the quietest stretch, {fastest:.1f} rad/s in "
         "one sample of a thousand",
         path=path,
-        hint="They look like deg/s: name the columns gyro_x_dps",
+        hint="They look like deg/s: name the columns gyro_x_dps, or dtheta_x_deg for increments in degrees",
     )
 
 

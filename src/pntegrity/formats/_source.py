@@ -11,6 +11,8 @@ from pntegrity.errors import InputError
 __all__ = ["read_bytes", "read_text", "with_decimal_version", "without_cut_line"]
 
 GZIP_MAGIC = b"\x1f\x8b"
+#: What some programs begin a file with to say that it is UTF-8.
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 OTHER_ARCHIVES = {
     b"\x1f\x9d": "a Unix compress (.Z) file",
     b"PK\x03\x04": "a zip archive",
@@ -73,7 +75,7 @@ def read_text(path: Path | str) -> str:
     InputError
         As `read_bytes`, and where the content is binary.
     """
-    data = read_bytes(path)
+    data = read_bytes(path).removeprefix(BYTE_ORDER_MARK)
     if _is_binary(data):
         raise InputError(
             "this is a binary file, text was expected",

@@ -9,7 +9,7 @@ speed).
 from __future__ import annotations
 
 import configparser
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -66,27 +66,16 @@ def read_garpos(
     origin = _origin(config, config_path)
     beacons = _beacons(config, config_path, origin)
     table = _shots(path, notes)
-    unknown = sorted(set(table["MT"]) - set(beacons))
-    if unknown:
-        raise InputError(
-            f"transponder {unknown[0]} has no coordinates", path=path,
-            hint=f"Add {unknown[0]}_dPos to {config_path.name}",
-        )  # fmt: skip
+    _check_known(table["MT"], beacons, path, config_path)
     sent, received = (_times(table[n], _date(config, config_path), path) for n in ("ST", "RT"))
-    shots: Sequence[Observation] = [
-        _observation(source, table["MT"][i], float(table["TT"][i]), int(sent[i]), int(received[i]), sigma_s)
-        for i in np.argsort(received, kind="stable")
-    ]
     attitude = _attitude(table, sent, received, origin)
-    cov = np.eye(3) * fix_sigma_m**2
-    fixes = tuple(fix_of(t, x, cov) for t, x in zip(attitude.t_ns.tolist(), attitude.position_m, strict=True))
     profile = read_profile(_only(folder, "*svp.csv*"), notes=notes)
     arm = _numbers(config, config_path, "Model-parameter", "ATDoffset", 3)
-    height = float(ecef_to_geodetic(origin)[2])
-    shots = with_repeats(shots, notes)
+    shots = with_repeats(_observations(table, source, sent, received, sigma_s), notes)
     return AcousticLog(
-        source, shots, fixes, attitude, beacons, (arm[0], arm[1], arm[2]), height, profile, tuple(notes)
-    )
+        source, shots, _fixes(attitude, fix_sigma_m), attitude, beacons, (arm[0], arm[1], arm[2]),
+        float(ecef_to_geodetic(origin)[2]), profile, tuple(notes),
+    )  # fmt: skip
 
 
 def _only(folder: Path, pattern: str) -> Path:
@@ -189,6 +178,26 @@ def _times(cells: npt.NDArray[np.object_], midnight_ns: int, path: Path) -> npt.
         raise InputError(f"a time of the day: {error}", path=path, hint=HINT) from None
 
 
+def _check_known(names: npt.NDArray[np.object_], beacons: Container[str], path: Path, config: Path) -> None:
+    unknown = sorted(n for n in set(names) if n not in beacons)
+    if unknown:
+        raise InputError(
+            f"transponder {unknown[0]} has no coordinates", path=path,
+            hint=f"Add {unknown[0]}_dPos to {config.name}",
+        )  # fmt: skip
+
+
+def _observations(
+    table: dict[str, npt.NDArray[np.object_]], source: str, sent: npt.NDArray[np.int64],
+    received: npt.NDArray[np.int64], sigma_s: float,
+) -> list[Observation]:  # fmt: skip
+    """Return the shots by their reception."""
+    return [
+        _observation(source, table["MT"][i], float(table["TT"][i]), int(sent[i]), int(received[i]), sigma_s)
+        for i in np.argsort(received, kind="stable")
+    ]
+
+
 def _observation(
     source: str, name: str, took_s: float, t0: int, received: int, sigma_s: float
 ) -> Observation:
@@ -196,6 +205,11 @@ def _observation(
         source, received, (f"{source}:R.{name}",), np.array([took_s]), np.array([sigma_s]),
         {"t0_ns": np.array([t0]), "received_ns": np.array([received]), "ways": np.array([2])},
     )  # fmt: skip
+
+
+def _fixes(attitude: Truth, sigma_m: float) -> tuple[Observation, ...]:
+    cov = np.eye(3) * sigma_m**2
+    return tuple(fix_of(t, x, cov) for t, x in zip(attitude.t_ns.tolist(), attitude.position_m, strict=True))
 
 
 def _attitude(

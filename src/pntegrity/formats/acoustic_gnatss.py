@@ -25,6 +25,7 @@ from pntegrity.formats._acoustics import (
     seconds_text_to_ns,
     with_repeats,
 )
+from pntegrity.formats._columns import checked
 from pntegrity.formats._source import read_text
 from pntegrity.formats.acoustic_profile import read_profile
 from pntegrity.formats.truth import Truth
@@ -36,6 +37,8 @@ __all__ = ["read_gnatss", "read_transducer"]
 J2000_NS = civil_to_ns(2000, 1, 1, 12)
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 MICROSECOND_NS = 1000
+#: No travel time is longer, us.
+MOST_US = 10**9
 
 
 def read_gnatss(
@@ -75,18 +78,13 @@ def read_gnatss(
     text = read_text(config)
     undulation = _number(text, "geoid_undulation", config) if undulation_m is None else undulation_m
     beacons = _transponders(text, config, undulation)
-    names = list(beacons)
     where = _day(folder, day)
-    pings = _pings(_file(where, "pxp_tt"), names, source, sigma_s, notes)
+    path = _file(where, "pxp_tt")
+    pings = _pings(path, list(beacons), source, sigma_s, notes)
     fixes = _fixes(_file(where, "GPS_POS_FREED"))
-    check_in_common(
-        (source, _times(pings)), ("the positions", _times(fixes)), _file(where, "pxp_tt"), notes
-    )  # fmt: skip
-    arm = (
-        _number(text, "forward", config),
-        _number(text, "rightward", config),
-        _number(text, "downward", config),
-    )
+    check_in_common((source, _times(pings)), ("the positions", _times(fixes)), path, notes)
+    forward, right, down = (_number(text, k, config) for k in ("forward", "rightward", "downward"))
+    arm = (forward, right, down)
     attitude = _attitude(where, np.array(arm))
     profile = read_profile(_file(folder, "CTD*"), notes=notes)
     observations = with_repeats(pings, notes)
@@ -160,33 +158,32 @@ def _transponders(text: str, path: Path, undulation: float) -> dict[str, dict[st
 def _pings(
     path: Path, names: Sequence[str], source: str, sigma_s: float, notes: list[str]
 ) -> list[Observation]:
-    out: dict[int, Observation] = {}
-    silent = 0
-    for number, line in enumerate(read_text(path).splitlines(), 1):
-        if not line.strip():
-            continue
-        try:
-            t0, ticks = _ping(line.split())
-        except ValueError as error:
-            raise InputError(
-                f"no ping: {error}", path=path, line=number, hint="27-JUL-22 17:37:45.00 and times in us"
-            ) from None
-        if any(ticks[len(names) :]):
-            raise InputError(
-                f"a reply of transponder {len(names) + 1}, which has no coordinates", path=path, line=number,
-                hint="Add it to `transponders` of the configuration",
-            )  # fmt: skip
-        ticks = ticks[: len(names)]
-        if any(ticks):
-            ping = _observation(t0, ticks, names, source, sigma_s)
-            out[ping.t_ns] = ping
-        else:
-            silent += 1
-    if not out:
+    """Return what was heard, by time; of pings of one time the last counts."""
+    lines = [(n, line) for n, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    pings = [_known_ping(line, len(names), path, n) for n, line in lines]
+    heard = [_observation(t0, ticks, names, source, sigma_s) for t0, ticks in pings if any(ticks)]
+    if not heard:
         raise InputError("no reply in any ping", path=path, hint="Is this pxp_tt?")
-    if silent:
-        notes.append(f"{path.name}: {silent} pings without any reply")
+    if len(heard) < len(pings):
+        notes.append(f"{path.name}: {len(pings) - len(heard)} pings without any reply")
+    out = {o.t_ns: o for o in heard}
     return [out[t] for t in sorted(out)]
+
+
+def _known_ping(line: str, n: int, path: Path, number: int) -> tuple[int, list[int]]:
+    """Return when a ping was sent and the replies of the `n` transponders that are known."""
+    try:
+        t0, ticks = _ping(line.split())
+    except (ValueError, OverflowError) as error:
+        raise InputError(
+            f"no ping: {error}", path=path, line=number, hint="27-JUL-22 17:37:45.00 and times in us"
+        ) from None
+    if any(ticks[n:]):
+        raise InputError(
+            f"a reply of transponder {n + 1}, which has no coordinates", path=path, line=number,
+            hint="Add it to `transponders` of the configuration",
+        )  # fmt: skip
+    return t0, ticks[:n]
 
 
 def _ping(cells: Sequence[str]) -> tuple[int, list[int]]:
@@ -197,9 +194,9 @@ def _ping(cells: Sequence[str]) -> tuple[int, list[int]]:
     midnight = civil_to_ns(2000 + int(year), MONTHS.index(month.upper()) + 1, int(day))
     t0 = midnight + (int(hour) * 60 + int(minute)) * 60 * 10**9 + seconds_text_to_ns(second)
     ticks = [int(c) for c in cells[2:]]
-    if min(ticks) < 0:
-        raise ValueError("a negative travel time")
-    return t0, ticks
+    if min(ticks) < 0 or max(ticks) > MOST_US:
+        raise ValueError("a negative or an absurd travel time")
+    return checked(t0), ticks
 
 
 def _observation(
@@ -223,7 +220,8 @@ def _table(path: Path, n: int) -> tuple[npt.NDArray[np.int64], FloatArray]:
         if not cells:
             continue
         try:
-            times.append(J2000_NS + round(seconds_text_to_ns(cells[0]), -3))  # files of one day round apart
+            t_ns = J2000_NS + round(seconds_text_to_ns(cells[0]), -3)  # files of one day round apart
+            times.append(checked(t_ns))
             rows.append([float(c) for c in cells[1 : n + 1]])
         except ValueError:
             rows.append([])

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from pntegrity.errors import InputError
-from pntegrity.formats import truth as tables
-from pntegrity.formats._source import read_text
-from pntegrity.formats.imu_table import TIMES, seconds_to_ns
+from pntegrity.formats._columns import (
+    TIMES,
+    Cells,
+    check_any,
+    columns_of,
+    first_of,
+    number,
+    numbers,
+    plain_name,
+    positions,
+    read_cells,
+    second_time,
+    usable,
+    velocities,
+)  # fmt: skip
 from pntegrity.physics.frames import enu_rotations
 from pntegrity.records import Epoch, FloatArray, Observation
 
@@ -81,38 +92,37 @@ def read_fixes(
         As `read_truth`, and where positions have no standard deviations.
     """
     path, told = Path(path), [] if notes is None else notes
-    text = read_text(path)
-    split = tables._split_pos if tables._is_pos(text) else tables._split_csv
-    names, rows, first_line = split(text, path)
-    names, rows = _as_known(names, rows, origin_ns, path)
-    column = tables._match(names)
-    tables._check_columns(column, names, path)
-    at = {kind: _sigma_columns(names, kind) for kind in SIGMAS}
-    _check_sigmas(at["position"], names, path)
-    numbers, t_ns = tables._numbers(rows, names, column, first_line, path, told)
-    stated = _positive(numbers, at["position"])
-    if not stated.all():
-        told.append(f"{path.name}: {int((~stated).sum())} lines dropped: no standard deviation above 0")
-    good = tables._usable(numbers, t_ns, column, told) & stated
-    if not good.any():
-        raise InputError("no usable line", path=path, hint="Check the columns' units and order")
-    numbers, track = numbers[good], tables._truth(numbers[good], t_ns[good], column, ())
-    turn = enu_rotations(track.position_m)
-    cov = _in_ecef(numbers, at["position"], turn, sigma_floor_m)
+    cells = _as_known(read_cells(path), origin_ns, path)
+    column = columns_of(cells.names, path)
+    at = {kind: _sigma_columns(cells.names, kind) for kind in SIGMAS}
+    _check_sigmas(at["position"], cells.names, path)
+    table, t_ns = _good_rows(cells, column, at["position"], path, told)
+    position = positions(table, column)
+    turn = enu_rotations(position)
+    rows = (t_ns.tolist(), position, _in_ecef(table, at["position"], turn, sigma_floor_m))
+    speed = velocities(table, column, position) if at["velocity"] else None
     if not velocity:
         told.append(f"{path.name}: velocities are not used, as asked for")
-    elif track.velocity_mps is None or not at["velocity"]:
+    elif speed is None:
         told.append(f"{path.name}: no velocities with standard deviations: positions alone are used")
-    if not velocity or track.velocity_mps is None or not at["velocity"]:
-        return tuple(map(_epoch, track.t_ns.tolist(), track.position_m, cov))
-    speed_cov = _in_ecef(numbers, at["velocity"], turn, sigma_floor_mps)
-    speed = (
-        track.velocity_mps if not velocity_lag_s else _later(track.t_ns, track.velocity_mps, velocity_lag_s)
-    )
-    return tuple(
-        _with_velocity(*row)
-        for row in zip(track.t_ns.tolist(), track.position_m, cov, speed, speed_cov, strict=True)
-    )
+    if not velocity or speed is None:
+        return tuple(map(_epoch, *rows))
+    speed = _later(t_ns, speed, velocity_lag_s) if velocity_lag_s else speed
+    speed_cov = _in_ecef(table, at["velocity"], turn, sigma_floor_mps)
+    return tuple(_with_velocity(*row) for row in zip(*rows, speed, speed_cov, strict=True))
+
+
+def _good_rows(
+    cells: Cells, column: Mapping[str, int], at: Sequence[int | None], path: Path, notes: list[str]
+) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Return the numbers and times of the rows that are a fix with standard deviations."""
+    table, t_ns = numbers(cells, column, path, notes)
+    stated = _positive(table, at)
+    if not stated.all():
+        notes.append(f"{path.name}: {int((~stated).sum())} lines dropped: no standard deviation above 0")
+    good = usable(table, t_ns, column, notes) & stated
+    check_any(good, path)
+    return table[good], t_ns[good]
 
 
 def _later(t_ns: npt.NDArray[np.int64], velocity: FloatArray, lag_s: float) -> FloatArray:
@@ -128,32 +138,39 @@ def _later(t_ns: npt.NDArray[np.int64], velocity: FloatArray, lag_s: float) -> F
     return np.where(known[:, None], velocity[i - 1] + share * (velocity[i] - velocity[i - 1]), np.nan)
 
 
-def _as_known(
-    names: Sequence[str], rows: Sequence[Sequence[str]], origin_ns: int | None, path: Path
-) -> tuple[list[str], list[list[str]]]:
+def _as_known(cells: Cells, origin_ns: int | None, path: Path) -> Cells:
     """Return the table with bare seconds as GPS time, and velocities down as velocities up."""
-    known, cells = list(names), [list(row) for row in rows]
-    plain = [re.sub(r"\(.*?\)", "", n).strip().lower() for n in names]
+    names, rows = list(cells.names), [list(row) for row in cells.rows]
+    plain = [plain_name(n) for n in names]
     timed = any(n in plain for q in ("t_ns", "tow", "iso") for n in TIMES[q])
+
+    def since(cell: str) -> str:
+        try:
+            return str(second_time(cell, origin_ns, path))
+        except InputError:
+            raise
+        except ValueError:
+            return ""
+
     for i, name in enumerate(plain):
         if name in TIMES["t_s"] and not timed:
-            known[i] = "t_ns"
-            for row in cells:
-                seconds = tables._number(row[i]) if i < len(row) else np.nan
-                row[i : i + 1] = [
-                    str(int(seconds_to_ns(seconds, origin_ns, path))) if np.isfinite(seconds) else ""
-                ]
+            names[i] = "t_ns"
+            _change(rows, i, since)
         if name in DOWN:
-            known[i] = "vu_mps"
-            for row in cells:
-                row[i : i + 1] = [str(-tables._number(row[i]))] if i < len(row) else []
-    return known, cells
+            names[i] = "vu_mps"
+            _change(rows, i, lambda cell: str(-number(cell)))
+    return Cells(names, rows, cells.lines)
+
+
+def _change(rows: Sequence[list[str]], at: int, change: Callable[[str], str]) -> None:
+    for row in rows:
+        row[at : at + 1] = [change(cell) for cell in row[at : at + 1]]
 
 
 def _sigma_columns(names: Sequence[str], kind: str) -> list[int | None]:
     """Return the columns of standard deviations and covariances; empty where one of the first is missing."""
-    plain = [re.sub(r"\(.*?\)", "", n).strip().lower() for n in names]
-    at = [next((plain.index(v) for v in variants if v in plain), None) for variants in SIGMAS[kind]]
+    plain = [plain_name(n) for n in names]
+    at = [first_of(plain, variants) for variants in SIGMAS[kind]]
     return [] if None in at[:3] else at
 
 

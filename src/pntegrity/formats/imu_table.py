@@ -17,13 +17,13 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from pntegrity.errors import InputError
+from pntegrity.formats._columns import MOST_SECONDS, TIMES, matched, seconds_to_ns
 from pntegrity.formats._imu_checks import check_gravity, without_hung
 from pntegrity.formats._source import read_text
-from pntegrity.formats.truth import NAMES
 from pntegrity.physics.time import SECOND_NS, from_iso, from_week_tow, to_iso
 from pntegrity.records import FloatArray, Inertial
 
-__all__ = ["GAP_FACTOR", "mounting", "read_imu", "seconds_to_ns"]
+__all__ = ["GAP_FACTOR", "mounting", "read_imu"]
 
 #: A step longer than this many times the usual one is a gap.
 GAP_FACTOR = 5.0
@@ -33,9 +33,6 @@ MOST_UNSORTED = 0.1
 LATEST_NS = 2**62
 DEG = np.pi / 180.0
 
-TIMES = {q: NAMES[q] for q in ("t_ns", "week", "tow", "iso")} | {
-    "t_s": ("t_s", "time_s", "seconds", "elapsed_s", "t"),
-}
 KINDS: dict[str, tuple[str, ...]] = {
     "rate": ("gyr", "gyro", "gyros", "gyroscope", "g", "w", "omega", "rate", "angular_rate", "ang_rate",
              "angular_velocity", "ang_vel"),
@@ -162,22 +159,6 @@ def _is_axis(word: str) -> bool:
     return re.fullmatch(r"[+-]?[xyz]", word) is not None
 
 
-def seconds_to_ns(seconds: npt.ArrayLike, origin_ns: int | None, path: Path) -> npt.NDArray[np.int64]:
-    """Return GPS times of bare seconds.
-
-    Raises
-    ------
-    InputError
-        Where the time of second 0 is not known.
-    """
-    if origin_ns is None:
-        raise InputError(
-            "times are bare seconds, from an unknown time on", path=path,
-            hint="Say with --imu-start when second 0 was, in GPS time: --imu-start 2025-07-08T19:34:00",
-        )  # fmt: skip
-    return origin_ns + np.rint(np.asarray(seconds, dtype=np.float64) * SECOND_NS).astype(np.int64)
-
-
 # --- the table --------------------------------------------------------------------------------------------
 
 
@@ -258,22 +239,28 @@ def _times(
 ) -> npt.NDArray[np.int64]:
     """Return the stamps, ns of GPS time; -1 where there is none."""
     plain = [_plain(n) for n in names]
-    at = {q: plain.index(v) for q, variants in TIMES.items() for v in variants[::-1] if v in plain}
+    at = matched(plain, TIMES)
     if "t_ns" in at:
         return _column(cells, at["t_ns"], pl.Int64).fill_null(-1).to_numpy()
     if {"week", "tow"} <= at.keys():
-        week, tow = (_column(cells, at[q]).to_numpy() for q in ("week", "tow"))
-        good = (week >= 0.0) & (week < 10_000.0) & (tow >= 0.0) & (tow < 1e6)
-        return np.where(good, from_week_tow(np.where(good, week, 0), np.where(good, tow, 0.0)), -1)
+        return _week_times(*(_column(cells, at[q]).to_numpy() for q in ("week", "tow")))
     if "t_s" in at:
-        seconds = _column(cells, at["t_s"]).to_numpy()
-        good = np.isfinite(seconds) & (np.abs(seconds) < 1e9)
-        return np.where(good, seconds_to_ns(np.where(good, seconds, 0.0), origin_ns, path), -1)
+        return _second_times(_column(cells, at["t_s"]).to_numpy(), origin_ns, path)
     if "iso" in at:
         return np.array([_iso(text) for text in cells.to_series(at["iso"])], dtype=np.int64)
     raise InputError(
         f"no columns for time among {', '.join(names)[:200]}", path=path, line=1, hint=NAMES_HINT
     )
+
+
+def _week_times(week: FloatArray, tow: FloatArray) -> npt.NDArray[np.int64]:
+    good = (week >= 0.0) & (week < 10_000.0) & (tow >= 0.0) & (tow < 1e6)
+    return np.where(good, from_week_tow(np.where(good, week, 0), np.where(good, tow, 0.0)), -1)
+
+
+def _second_times(seconds: FloatArray, origin_ns: int | None, path: Path) -> npt.NDArray[np.int64]:
+    good = np.isfinite(seconds) & (np.abs(seconds) < MOST_SECONDS)
+    return np.where(good, seconds_to_ns(np.where(good, seconds, 0.0), origin_ns, path), -1)
 
 
 def _iso(text: str | None) -> int:
@@ -307,26 +294,37 @@ def _in_order(
         good &= np.isfinite(v).all(axis=1)
     if not good.all():
         notes.append(f"{path.name}: {int((~good).sum())} lines dropped: no time or no number")
-    rows = np.flatnonzero(good)
-    back = np.flatnonzero(np.diff(t_ns[rows]) < 0) + 1
-    if len(back) > MOST_UNSORTED * len(rows):
-        raise InputError(
-            f"{len(back)} of {len(rows)} stamps are before the one above them",
-            path=path, epoch=to_iso(int(t_ns[rows[back[0]]])),
-            hint="Sort the table by time, and see whether the time column is the right one",
-        )  # fmt: skip
-    if len(back):
-        first = to_iso(int(t_ns[rows[back[0]]]))
-        notes.append(f"{path.name}: {len(back)} stamps go back, first at {first}: sorted")
-        rows = rows[np.argsort(t_ns[rows], kind="stable")]
-    new = np.append(True, np.diff(t_ns[rows]) > 0) if len(rows) else np.zeros(0, dtype=bool)
-    if not new.all():
-        first = to_iso(int(t_ns[rows[~new][0]]))
-        notes.append(f"{path.name}: {int((~new).sum())} lines dropped: their stamp repeats, first at {first}")
-    rows = rows[new]
+    rows = _without_repeats(t_ns, _sorted(t_ns, np.flatnonzero(good), path, notes), path, notes)
     if len(rows) < 2:
         raise InputError("fewer than two usable lines", path=path, hint=NAMES_HINT)
     return t_ns[rows], {k: v[rows] for k, v in values.items()}
+
+
+def _sorted(
+    t_ns: npt.NDArray[np.int64], rows: npt.NDArray[np.intp], path: Path, notes: list[str]
+) -> npt.NDArray[np.intp]:
+    """Return `rows` by time, where only some go back (InputError: too many)."""
+    back = np.flatnonzero(np.diff(t_ns[rows]) < 0) + 1
+    if not len(back):
+        return rows
+    first = to_iso(int(t_ns[rows[back[0]]]))
+    if len(back) > MOST_UNSORTED * len(rows):
+        raise InputError(
+            f"{len(back)} of {len(rows)} stamps are before the one above them", path=path, epoch=first,
+            hint="Sort the table by time, and see whether the time column is the right one",
+        )  # fmt: skip
+    notes.append(f"{path.name}: {len(back)} stamps go back, first at {first}: sorted")
+    return rows[np.argsort(t_ns[rows], kind="stable")]
+
+
+def _without_repeats(
+    t_ns: npt.NDArray[np.int64], rows: npt.NDArray[np.intp], path: Path, notes: list[str]
+) -> npt.NDArray[np.intp]:
+    new = np.append(True, np.diff(t_ns[rows]) > 0)[: len(rows)]
+    if not new.all():
+        first = to_iso(int(t_ns[rows[~new][0]]))
+        notes.append(f"{path.name}: {int((~new).sum())} lines dropped: their stamp repeats, first at {first}")
+    return np.asarray(rows[new])
 
 
 def _steps(t_ns: npt.NDArray[np.int64], notes: list[str]) -> tuple[FloatArray, str]:

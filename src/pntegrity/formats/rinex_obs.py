@@ -7,10 +7,11 @@ a note (`_salvage`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,17 @@ MAX_JUMP_NS = 366 * 86_400 * SECOND_NS
 LAST_NS = 2**62
 """Later time tags (year 2126) are damaged."""
 KINDS = "CLDS"
+NO_TIME = "no such time"
+MISFIT = "their values do not fit the header's list of types"
+
+
+class _Epoch(NamedTuple):
+    """One epoch as it is read: `values` and `lli` are those of each code of each satellite."""
+
+    t_ns: int
+    sats: list[str]
+    values: npt.NDArray[np.float64]
+    lli: npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -112,38 +124,36 @@ def _blocks(obs: Any, notes: list[str]) -> list[_Block]:
 def _block(obs: Any, indices: range, header: Any, shift: tuple[str, int], notes: list[str]) -> _Block:
     codes = {s.letter: header.obs_codes(s) for s in header.systems}
     width = {letter: len(c) for letter, c in codes.items()}
-    times, counts, sats, values, lli, misfits, no_time = [], [], [], [], [], 0, 0
-    for i in indices:
-        epoch = obs.epoch(i)
-        if epoch.flag > 1 or epoch.epoch is None:
-            continue
-        names = epoch.satellites
-        series = obs.observation_values(i)
-        rows = series.values
-        if len(rows) != sum(width.get(s[0], 0) for s in names):
-            misfits += 1
-            continue
-        t_ns = _epoch_ns(epoch.epoch, shift)
-        if not 0 <= t_ns < LAST_NS:
-            no_time += 1
-            continue
-        times.append(t_ns)
-        counts.append(len(names))
-        sats += names
-        values.append(rows)
-        lli.append(series.lli)
-    if no_time:
-        notes.append(f"{no_time} epochs dropped: no such time")
-    if misfits:
-        notes.append(f"{misfits} epochs dropped: their values do not fit the header's list of types")
+    bad: Counter[str] = Counter()
+    read = [_epoch(obs, i, width, shift, bad) for i in indices]
+    epochs = [e for e in read if e is not None]
+    notes += [f"{bad[why]} epochs dropped: {why}" for why in (NO_TIME, MISFIT) if bad[why]]
     return _Block(
-        np.array(times, dtype=np.int64),
-        np.array(counts, dtype=np.int64),
-        np.array(sats, dtype="<U3"),
-        np.concatenate(values) if values else np.zeros(0),
-        np.concatenate(lli) if lli else np.zeros(0),
+        np.array([e.t_ns for e in epochs], dtype=np.int64),
+        np.array([len(e.sats) for e in epochs], dtype=np.int64),
+        np.array([s for e in epochs for s in e.sats], dtype="<U3"),
+        np.concatenate([e.values for e in epochs]) if epochs else np.zeros(0),
+        np.concatenate([e.lli for e in epochs]) if epochs else np.zeros(0),
         codes,
     )
+
+
+def _epoch(
+    obs: Any, i: int, width: Mapping[str, int], shift: tuple[str, int], bad: Counter[str]
+) -> _Epoch | None:
+    """Return the i-th epoch; None where it is an event, or cannot be used: counted in `bad`."""
+    epoch = obs.epoch(i)
+    if epoch.flag > 1 or epoch.epoch is None:
+        return None
+    names, series = epoch.satellites, obs.observation_values(i)
+    if len(series.values) != sum(width.get(s[0], 0) for s in names):
+        bad[MISFIT] += 1
+        return None
+    t_ns = _epoch_ns(epoch.epoch, shift)
+    if not 0 <= t_ns < LAST_NS:
+        bad[NO_TIME] += 1
+        return None
+    return _Epoch(t_ns, names, series.values, series.lli)
 
 
 def _time_shift(header: Any) -> tuple[str, int]:
@@ -191,32 +201,11 @@ def _note_orphans(text: str, pieces: Sequence[Any], notes: list[str]) -> None:
 
 
 def _table(blocks: Sequence[_Block], header: Any, path: Path, notes: list[str]) -> SignalTable:
-    t_all = np.concatenate([b.t_ns for b in blocks]) if blocks else np.zeros(0, dtype=np.int64)
-    if not len(t_all):
-        raise InputError(
-            "no epoch with observations in this file",
-            path=path,
-            hint="Is it cut off after its header? Log it again",
-        )
-    first = np.cumsum([0] + [len(b.t_ns) for b in blocks])
-    parts = [p for b, i in zip(blocks, first, strict=False) for p in _columns(b, int(i), notes)]
-    if not parts:
-        raise InputError(
-            "every observation in this file is blank or zero, or of an unknown type",
-            path=path,
-            hint="Check the receiver's logging set-up and the header's TYPES records",
-        )
-    c = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
-    keep = _rising(t_all, notes)
-    used = np.flatnonzero(keep[c["epoch"]])
-    if not len(used):
-        raise InputError("no epoch with both a time and observations", path=path, hint="Log it again")
-    # Sorting by small integers: (epoch, satellite, signal) in one key.
-    key = (c["epoch"][used] << 40) | (c["sat"][used] << 16) | c["signal"][used]
-    order = used[np.argsort(key, kind="stable")]
-    c = {name: values[order] for name, values in c.items()}
+    t_ns, c = _joined(blocks, path, notes)
+    keep = _rising(t_ns, notes)
+    c = _sorted(c, keep, path)
     return SignalTable(
-        t_ns=t_all[keep],
+        t_ns=t_ns[keep],
         epoch=(np.cumsum(keep) - 1)[c["epoch"]].astype(np.int32),
         sat=_names(c["sat"], (16, 8, 0)),
         signal=_names(c["signal"], (8, 0)),
@@ -225,10 +214,49 @@ def _table(blocks: Sequence[_Block], header: Any, path: Path, notes: list[str]) 
         doppler_hz=c["D"],
         cn0_dbhz=c["S"],
         lli=c["lli"].astype(np.int8),
-        **_header_facts(header, t_all[keep]),
+        **_header_facts(header, t_ns[keep]),
         notes=tuple(notes),
         source=str(path),
     )
+
+
+def _joined(
+    blocks: Sequence[_Block], path: Path, notes: list[str]
+) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[Any]]]:
+    """Return the times of all blocks, and their rows as columns.
+
+    Raises
+    ------
+    InputError
+        No epochs, or nothing in them.
+    """
+    first = np.cumsum([0] + [len(b.t_ns) for b in blocks])
+    if not first[-1]:
+        raise InputError(
+            "no epoch with observations in this file", path=path,
+            hint="Is it cut off after its header? Log it again",
+        )  # fmt: skip
+    parts = [p for b, i in zip(blocks, first, strict=False) for p in _columns(b, int(i), notes)]
+    if not parts:
+        raise InputError(
+            "every observation in this file is blank or zero, or of an unknown type", path=path,
+            hint="Check the receiver's logging set-up and the header's TYPES records",
+        )  # fmt: skip
+    t_ns = np.concatenate([b.t_ns for b in blocks])
+    return t_ns, {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+
+
+def _sorted(
+    columns: Mapping[str, npt.NDArray[Any]], keep: npt.NDArray[np.bool_], path: Path
+) -> dict[str, npt.NDArray[Any]]:
+    """Return the rows of epochs to keep, by epoch, satellite and signal (InputError: there are none)."""
+    used = np.flatnonzero(keep[columns["epoch"]])
+    if not len(used):
+        raise InputError("no epoch with both a time and observations", path=path, hint="Log it again")
+    # Sorting by small integers: (epoch, satellite, signal) in one key.
+    epoch, sat, signal = (columns[name][used] for name in ("epoch", "sat", "signal"))
+    order = used[np.argsort((epoch << 40) | (sat << 16) | signal, kind="stable")]
+    return {name: values[order] for name, values in columns.items()}
 
 
 def _columns(block: _Block, first_epoch: int, notes: list[str]) -> list[dict[str, npt.NDArray[Any]]]:

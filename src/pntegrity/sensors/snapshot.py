@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pntegrity.kernels.linear import whiten
 from pntegrity.records import Epoch, FloatArray
 from pntegrity.sensors.pseudoranges import (
     SURFACE_M,
@@ -129,5 +130,6 @@ def velocity_of(rows: Rows, sigma_mps: float) -> tuple[FloatArray, float, FloatA
     solution, _, rank, _ = np.linalg.lstsq(A, (rows.y - rows.predicted) * weight, rcond=None)
     if rank < 4:
         return None
-    cov = np.asarray(np.linalg.inv(A.T @ A)[:3, :3] * sigma_mps**2, dtype=np.float64)
-    return np.asarray(solution[:3], dtype=np.float64), float(solution[3]), cov
+    _, upper = np.linalg.qr(A)
+    root = whiten(upper.T, np.eye(4)[:, :3])  # root^T root is the velocity's block of (A^T A)^-1
+    return np.asarray(solution[:3], dtype=np.float64), float(solution[3]), root.T @ root * sigma_mps**2
