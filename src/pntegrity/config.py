@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import tomllib
 from dataclasses import fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +20,7 @@ from pntegrity.inertial import VEHICLE, InertialConfig, usual_monitors
 from pntegrity.monitors import discover
 from pntegrity.sensors.noise import NoiseModel
 from pntegrity.simulate.faults import parse_fault
-from pntegrity.vehicle import check_names, priors_of
+from pntegrity.vehicle import check_names, priors_of, with_fields
 
 __all__ = [
     "RunConfig",
@@ -41,7 +42,8 @@ class RunConfig(InertialConfig):
     """Everything that decides what a run computes.
 
     Files are as given on the command line; `faults` are in the grammar of ``simulate.faults``; `noise` is a
-    table of fields of `NoiseModel`, or a file that ``calibrate`` wrote; `ism` is the integrity support
+    table of fields of `NoiseModel`, or a file that ``calibrate`` wrote, whose table ``sources`` has fields of
+    sources that win over theirs; `ism` is the integrity support
     message, a table of fields of `Ism`, whose own ``noise`` table wins. `monitors` are those that suit the
     estimator where none is named. `monitor` holds options of single
     monitors, for instance ``[monitor.aime] window = 10``. Fields of the inertial side are those of
@@ -98,6 +100,15 @@ class RunConfig(InertialConfig):
                 why = str(error).partition("\n")[0]
                 raise ValueError(f"{why}; write it like 'G05 ramp 0.1 m/s 200:300'") from None
         return texts
+
+    @model_validator(mode="before")
+    @classmethod
+    def _noise_of_sources(cls, values: Any) -> Any:
+        noise = values.get("noise") if isinstance(values, dict) else None
+        if not isinstance(noise, dict) or "sources" not in noise:
+            return values
+        rest = {k: v for k, v in noise.items() if k != "sources"}
+        return {**values, "noise": rest, "source": with_fields(values.get("source", ()), noise["sources"])}
 
     @model_validator(mode="before")
     @classmethod
@@ -253,7 +264,7 @@ def make_monitor(
         raise ValueError(f"monitor {name}: {error}") from None
 
 
-def load_toml(path: Path, hint: str = "See the example in the README") -> dict[str, Any]:
+def load_toml(path: Path, hint: str = "docs/formats/config.md has an example") -> dict[str, Any]:
     """Return the tables of a TOML file; `hint` tells where one is shown.
 
     Raises
@@ -291,6 +302,10 @@ def make_config(values: dict[str, Any]) -> RunConfig:
 def _in_words(error: dict[str, Any]) -> str:
     """Return what pydantic found: the field, what is wrong, and the value where the text does not have it."""
     where = ".".join(str(p) for p in error["loc"])
+    if error["type"] == "extra_forbidden":
+        near = get_close_matches(where, RunConfig.model_fields, 1)
+        meant = f": `{near[0]}` is one" if near else ""
+        return f"`{where}` is no field of a configuration{meant} (docs/formats/config.md lists them)"
     if error["type"] == "value_error":
         return f"{where}: {error['ctx']['error']}" if where else str(error["ctx"]["error"])
     return f"{where}: {error['msg']}, not {error['input']!r}"

@@ -33,11 +33,19 @@ from pntegrity.records import Epoch, group_of
 from pntegrity.report.blind_spots import blind_spots
 from pntegrity.report.facts import RunFacts
 from pntegrity.sensors.noise import NoiseModel
-from pntegrity.simulate.faults import Fault, apply_faults, describe, parse_fault, touches_any, units_of
+from pntegrity.simulate.faults import (
+    Fault,
+    apply_faults,
+    describe,
+    out_of_time,
+    parse_fault,
+    touches_any,
+    units_of,
+)
 from pntegrity.source_files import name_of
-from pntegrity.states import sensor_of
+from pntegrity.states import is_satellite, sensor_of
 
-__all__ = ["RunResult", "load_epochs", "run"]
+__all__ = ["RunResult", "load_epochs", "pipeline_for", "run"]
 
 #: Epochs after which an update is no longer in any window, and its gains are let go of.
 KEPT = 1000
@@ -140,14 +148,16 @@ def _with_faults(epochs: Sequence[Epoch], faults: Sequence[Fault]) -> Sequence[E
         Where a fault falls on nothing.
     """
     for fault in faults:
-        if not touches_any(fault, epochs):
-            keys = {k for e in epochs for o in e.observations for k in o.keys}
-            measured = units_of(fault, epochs)
-            who = f"{fault.groups}.{fault.sensor}" if fault.sensor else fault.groups
-            why = f": {who} measures {' and '.join(measured)}, not {fault.unit}" if measured else ""
-            raise InputError(
-                f"fault: {describe(fault)}: no such row at that time{why}", hint=f"The log has {_named(keys)}"
-            )
+        if touches_any(fault, epochs):
+            continue
+        when = out_of_time(fault, epochs)
+        if when:
+            raise InputError(f"fault: {describe(fault)}: {when}", hint="Give START:END within these")
+        keys = {k for e in epochs for o in e.observations for k in o.keys}
+        measured = units_of(replace(fault, begin_ns=0, stop_ns=None, absolute=False), epochs)
+        who = f"{fault.groups}.{fault.sensor}" if fault.sensor else fault.groups
+        why = f": {who} measures {' and '.join(measured)}, not {fault.unit}" if measured else ""
+        raise InputError(f"fault: {describe(fault)}: no such row{why}", hint=f"The log has {_named(keys)}")
     return apply_faults(epochs, faults) if faults else epochs
 
 
@@ -155,6 +165,8 @@ def _named(keys: Iterable[str]) -> str:
     """Return who measures something: groups, and the sensors of sources with the units of their faults."""
     sensors = sorted({f"{group_of(k)}.{sensor_of(k)}" for k in keys if sensor_of(k)})
     there = ", ".join(sorted({group_of(k) for k in keys}))
+    rows = sorted(k for k in keys if not sensor_of(k) and not is_satellite(group_of(k)))
+    there += f" (rows {', '.join(rows)})" if rows else ""
     if not sensors:
         return there
     units = "travel times take ms or s, lengths m, angles deg"

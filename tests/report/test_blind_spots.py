@@ -50,6 +50,9 @@ def test_other_estimators_have_their_own():
     assert "up to about 3 m" in code
     assert "7.5 mm in 1 s and 5.8 cm in 60 s" in code
     assert "ambiguity" not in code
+    assert "0.08 m / sin(elevation) over 6 s" in code
+    by_power = " ".join(blind_spots("spp_kf", replace(NoiseModel(), elevation_power=2.0)))
+    assert "0.08 m / sin(elevation)^2 over 6 s" in by_power
     assert len(blind_spots("spp_kf", replace(NoiseModel(), code_bias_m=0.0, code_multipath_m=0.0))) == 1
 
 
@@ -65,3 +68,9 @@ def test_products_hide_what_their_bias_states_expect():
 def test_what_separation_does_not_see_is_said_where_it_runs(estimator):
     assert any(s.startswith("SEPARATION") for s in blind_spots(estimator, PPP_RTK, "white", (Separation(),)))
     assert not any(s.startswith("SEPARATION") for s in blind_spots(estimator, PPP_RTK))
+    (observed,) = (
+        s
+        for s in blind_spots(estimator, PPP_RTK, "white", (Separation(levels="observed"),))
+        if s.startswith("SEPARATION")
+    )
+    assert "does not alarm" in observed

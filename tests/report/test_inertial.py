@@ -331,5 +331,8 @@ def test_what_an_ins_hides_depends_on_its_coupling(options, words):
     assert words in text
     assert "Where GNSS is missing" in text
     assert "An error that most satellites share moves the position" in text
-    absorbed = f"{CITY.code_multipath_m:g} m / sin(elevation) over {CITY.code_multipath_tau_s:g} s"
+    absorbed = (
+        f"{CITY.code_multipath_m:g} m at {CITY.cn0_ref_dbhz:g} dB-Hz and above, more below, "
+        f"over {CITY.code_multipath_tau_s:g} s"
+    )
     assert (absorbed in text) is (options.coupling == "tight")

@@ -218,6 +218,11 @@ def test_the_story_tells_where_levels_are_of_no_use(clean, told):
     often = with_bounds(clean, lambda k: bound(up=INF if k % 4 == 0 else 8.0))
     (one,) = [t for kind, t in texts(often, told) if kind == "unavailable"]
     assert one.endswith("(15 epochs).")
+    never = with_bounds(clean, lambda k: bound(INF, INF, INF, reason="nothing is left"))
+    said = [t for _, t in texts(never, told)]
+    assert [t for t in said if "protection level" in t] == [
+        "06:15:00-06:15:59: no finite protection level (nothing is left)."
+    ]
 
 
 def shown(outcomes, facts) -> str:

@@ -59,7 +59,7 @@ def test_the_page_shows_levels_diagrams_and_promise(bounded, told):
         assert f"<h2>{words}</h2>" in text
     assert "1e-07 in 1 h, which counts as 50 independent epochs: 2e-09 at each" in text
     assert "self-derived &lt;now&gt;" in text
-    assert "Protection level, 95 %" in text
+    assert "Protection level, 95\u00a0%" in text
 
 
 def test_every_colour_that_a_figure_names_exists(bounded, told):
@@ -180,3 +180,12 @@ def test_sectors_and_groups_are_told_where_there_are_any(bounded, told):
     assert "<th>An azimuth sector</th><td>0.0002</td>" in text
     assert "<th>Azimuth sectors</th><td>4</td>" in text
     assert "<th>canyon</th><td>0.001</td><td>G05 and E12 at once</td>" in text
+
+
+def test_a_column_of_which_nothing_is_known_is_not_there(bounded, told):
+    whole = make(bounded, told)
+    assert all(f"<th>{title}</th>" in whole for title in ("Alert limit", "Times the smallest possible"))
+    free = {k: v for k, v in PROMISE.items() if k not in ("hal_m", "val_m")}
+    less = make(bounded, replace(told, protection=free))
+    assert "<th>Alert limit</th>" not in less
+    assert "<th>Times the smallest possible</th>" in less

@@ -55,7 +55,8 @@ INPUT = [
     click.option(
         "--estimator",
         help="spp (snapshot), spp_kf (Kalman filter), ppp (precise, with --sp3), ppp_rtk (with --sp3 and "
-        "--atmosphere, or --clas) or gnss_ins (with --imu).  [spp_kf]",
+        "--atmosphere, or --clas), gnss_ins (with --imu) or multi_source (a vehicle: sources in the file of "
+        "--config).  [spp_kf]",
     ),
     click.option(
         "--motion",
@@ -73,15 +74,15 @@ INPUT = [
         "--noise", type=click.Path(path_type=Path), help="Noise model written by `pntegrity calibrate`."
     ),
     click.option(
-        "--start", help="First epoch: seconds from the start, or GPS time like 2019-01-14T06:20:00."
+        "--start", help="First epoch: seconds from that of the log, or GPS time like 2019-01-14T06:20:00."
     ),
-    click.option("--end", help="Last epoch."),
+    click.option("--end", help="Last epoch: seconds from the first epoch, or GPS time."),
 ]
 INERTIAL = [
     click.option(
         "--imu",
         type=click.Path(path_type=Path),
-        help="Table of an IMU for gnss_ins: CSV, units in its names.",
+        help="Table of an IMU for gnss_ins and multi_source: CSV, units in its names.",
     ),
     click.option("--imu-spec", help="Its errors: stim300, low-cost, or a TOML file.  [stim300]"),
     click.option(
@@ -131,8 +132,9 @@ INERTIAL = [
 MONITORING = [
     click.option(
         "--monitors",
-        help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels), factor_set.  "
-        "[the first five, also with --fixes; ppp_rtk: separation; gnss_ins: factor_set, separation]",
+        help="Comma-separated: rctm, srctm, aime, sraime, glr, separation (protection levels), factor_set, "
+        "source_separation, sensor_window.  [the first five, also with --fixes; ppp_rtk: separation; "
+        "gnss_ins: factor_set, separation; multi_source: source_separation, sensor_window, separation]",
     ),
     click.option(
         "--ism",
@@ -198,8 +200,9 @@ def build_config(values: dict[str, Any]) -> RunConfig:
     instead = merged.get("fixes") or merged.get("source") or merged.get("estimator") == "multi_source"
     for name in ("obs",) if precise else ("obs", "nav"):
         if not merged.get(name) and not instead:
+            orbits = ", or precise orbits with --sp3 FILE" if name == "nav" else ""
             raise InputError(
-                f"no {name} file", hint=f"Give one with --{name} FILE, or in the file of --config"
+                f"no {name} file", hint=f"Give one with --{name} FILE{orbits}, or in the file of --config"
             )
     return make_config(merged)
 
@@ -214,6 +217,11 @@ def _triple(option: str, text: str, what: str) -> tuple[float, ...]:
     if len(values) != 3:
         raise InputError(f"--{option.replace('_', '-')} {text!r} is not three numbers {what}")
     return values
+
+
+def record_in(path: Path) -> Path:
+    """Return the record of updates that a path stands for: itself, or that of a folder of results."""
+    return path / "updates.npz" if path.is_dir() else path
 
 
 @contextmanager

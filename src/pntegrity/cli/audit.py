@@ -9,10 +9,11 @@ import click
 
 @click.command(
     "audit",
-    help="Audit a monitor on the geometry of a recorded run (updates.npz): P_FA, and what it would see.",
+    help="Audit a monitor on the geometry of a recorded run (updates.npz, or its folder): P_FA, and what it "
+    "would see.",
 )
 @click.argument("record", type=click.Path(path_type=Path))
-@click.option("--monitor", "name", required=True, help="rctm, srctm, aime, sraime, glr or separation.")
+@click.option("--monitor", "name", required=True, help="Name of any monitor, as for `run --monitors`.")
 @click.option("--variant", type=click.Choice(["exact", "published"]), default="exact", show_default=True)
 @click.option(
     "--p-fa", type=float, default=1e-3, show_default=True, help="Probability of a false alarm, an epoch."
@@ -58,6 +59,7 @@ def command(
 
     import numpy as np
 
+    from pntegrity.cli._shared import record_in
     from pntegrity.errors import InputError
     from pntegrity.evaluate.audit import audit
     from pntegrity.evaluate.audit_table import audit_json, audit_table
@@ -70,7 +72,7 @@ def command(
         raise InputError(f"--monitor takes one name, not {name!r}")
     if not isinstance(monitor, Planner):
         raise InputError(f"{name} cannot be audited: it does not plan its tests without data")
-    updates = [update for update, _ in read_record(record)]
+    updates = [update for update, _ in read_record(record_in(record))]
     if not updates:
         raise InputError("the record holds no epoch", path=record)
     rng = np.random.default_rng(seed)

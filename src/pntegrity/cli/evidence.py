@@ -14,7 +14,7 @@ NAMES = (
     "rtk-opec", "rtk-opec-faults", "rtk-clas", "rtk-clas-ramp",
     "factor-set-rate", "city-thresholds", "city-moderate", "city-full", "city-low-cost", "city-open",
     "city-tst", "city-levels", "city-nees", "ins-real", "mechanisation", "ins-speed",
-    "acoustics", "vessels", "multi-level", "vessel-cases", "vessel-speed",
+    "acoustics", "vessels", "multi-level", "vessel-cases", "vessel-pairs", "vessel-noise", "vessel-speed",
 )  # fmt: skip
 
 

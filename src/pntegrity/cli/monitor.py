@@ -7,13 +7,16 @@ from pathlib import Path
 import click
 
 
-@click.command("monitor", help="Run monitors again on a recorded run (updates.npz), without the raw data.")
+@click.command(
+    "monitor",
+    help="Run monitors again on a recorded run (updates.npz, or its folder), without the raw data.",
+)
 @click.argument("record", type=click.Path(path_type=Path))
 @click.option(
     "--monitors",
     default="rctm,srctm,aime,sraime,glr",
     show_default=True,
-    help="Comma-separated names; separation, too.",
+    help="Comma-separated names, any of `run --monitors`.",
 )
 @click.option("--variant", type=click.Choice(["exact", "published"]), default="exact", show_default=True)
 @click.option(
@@ -29,12 +32,12 @@ def command(
     """Replay a record."""
     from rich.console import Console
 
-    from pntegrity.cli._shared import progress_bar
+    from pntegrity.cli._shared import progress_bar, record_in
     from pntegrity.replay import named_monitors, replay, replay_table, write_verdicts
 
     chosen = named_monitors(monitors, p_fa, variant, noise, ism)
     with progress_bar() as progress:
-        verdicts = replay(record, chosen, progress)
+        verdicts = replay(record_in(record), chosen, progress)
     if out is not None:
         write_verdicts(out, verdicts)
     Console().print(replay_table(verdicts))

@@ -120,8 +120,14 @@ def _products(noise: NoiseModel) -> tuple[str, ...]:
 
 def _separation(monitors: Sequence[Monitor]) -> tuple[str, ...]:
     """Say what the comparison of solutions leaves to the protection levels."""
-    if not any(m.name == SEPARATION for m in monitors):
+    found = [getattr(m, "levels", "tested") for m in monitors if m.name == SEPARATION]
+    if not found:
         return ()
+    if found == ["observed"]:
+        return (
+            "SEPARATION does not alarm here: what a fault moves the position by is in the protection levels, "
+            "for the fault modes of the integrity support message and no others.",
+        )
     return (
         "SEPARATION sees a fault where it moves the position by more than its thresholds. What moves it less "
         "goes unseen and is covered by the protection levels, for the fault modes of the integrity support "
@@ -142,10 +148,18 @@ def _code(noise: NoiseModel) -> tuple[str, ...]:
         )
     if noise.code_multipath_m > 0.0:
         spots.append(
-            f"Multipath is expected ({noise.code_multipath_m:g} m / sin(elevation) over "
+            f"Multipath is expected ({noise.code_multipath_m:g} m{_grows(noise)} over "
             f"{noise.code_multipath_tau_s:g} s): errors of that size and duration are not faults."
         )
     return (*spots, "An error that all satellites share is the receiver's clock, for every monitor.")
+
+
+def _grows(noise: NoiseModel) -> str:
+    """Say with what multipath grows: with the elevation alone where that is so, else with C/N0."""
+    if noise.elevation_power == 0.0:
+        return f" at {noise.cn0_ref_dbhz:g} dB-Hz and above, more below,"
+    power = "" if noise.elevation_power == 1.0 else f"^{noise.elevation_power:g}"
+    return f" / sin(elevation){power}"
 
 
 def _precise(noise: NoiseModel, motion: str, monitors: Sequence[Monitor]) -> tuple[str, ...]:

@@ -106,7 +106,7 @@ def _numbers(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
             "epochs",
             _of_alerts(alarms, s["limit_alerts"]),
         ),
-        ("Left out", str(len(gone)), _kinds(s, gone), f"{s['readmissions']} readmissions"),
+        ("Left out", str(len(gone)), _kinds(s, gone), f"{s['readmissions']} readmitted"),
         (
             "Satellites used" if s["sources"] is None else "Sources used",
             f"{used['used_mean']:.1f}",
@@ -137,8 +137,8 @@ def _accuracy(s: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     if s["position"]:
         h, u = s["position"]["h"], s["position"]["u"]
         value, name = length(h["p95_m"]).split()
-        note = f"RMS {length(h['rms_m'])}, largest {length(h['max_m'])}; up 95 % {length(u['p95_m'])}"
-        return [("Horizontal error, 95 %", value, name, note)]
+        note = f"RMS {length(h['rms_m'])}, largest {length(h['max_m'])}; up 95\u00a0% {length(u['p95_m'])}"
+        return [("Horizontal error, 95\u00a0%", value, name, note)]
     sigma = s["sigma_m"]
     if sigma["e"] is None:
         return []

@@ -303,7 +303,7 @@ def _heat(groups: list[str], z: FloatArray, visible: bool) -> dict[str, Any]:
             "orientation": "h", "thickness": 8, "len": 0.3, "x": 1, "xanchor": "right", "y": 1.0,
             "yanchor": "bottom", "outlinewidth": 0,
             "tickvals": [-4, -1, 0, 1, 4], "ticktext": ["−4σ", "−1", "0", "1", "4σ"],
-            "tickfont": {"size": 10},
+            "tickfont": {"size": 10}, "tickangle": 0,
         },
     }  # fmt: skip
 

@@ -165,15 +165,15 @@ def _flat_sigma(state: State) -> float:
 def inertial(outcomes: Sequence[Outcome], table: pl.DataFrame) -> dict[str, Any] | None:
     """Return what the INS did in numbers, null where none ran.
 
-    ================ ======================================================================================
-    key              value
-    ================ ======================================================================================
+    ================== =======================================================================================
+    key                value
+    ================== =======================================================================================
     attitude_sigma_deg median standard deviation of ``roll``, ``pitch``, ``heading``
     attitude_error_deg the same angles, each ``{"mean", "rms", "p95", "max"}``; null without truth
-    outages          stretches without GNSS, or of a vehicle without any source: ``count``, ``seconds``
-                     (together) and ``longest``:
-                     ``{"from", "to", "seconds", "sigma_from_m", "sigma_to_m", "ended"}``; null without any
-    ================ ======================================================================================
+    outages            stretches without GNSS, or of a vehicle without any source: ``count``, ``seconds``
+                       (together) and ``longest``: ``{"from", "to", "seconds", "sigma_from_m", "sigma_to_m",
+                       "ended"}``; null without any
+    ================== =======================================================================================
     """
     if "roll_deg" not in table.columns:
         return None

@@ -161,33 +161,33 @@ def protected(table: pl.DataFrame, facts: RunFacts) -> Protected | None:
 def protection(outcomes: Sequence[Outcome], table: pl.DataFrame, facts: RunFacts) -> dict[str, Any] | None:
     """Return the protection levels in numbers, null where no verdict has any.
 
-    ================ ======================================================================================
-    key              value
-    ================ ======================================================================================
-    epochs           epochs with levels, unbounded ones included
-    hpl_m, vpl_m     ``{"median", "p95"}`` of the levels of these epochs; null: unbounded at so many
-    along_m, cross_m the same along and across the track; null without a course
-    hal_m, val_m     alert limits; null: none
-    available        ``{"epochs", "share"}`` of all epochs with the status ``ok``, HPL <= HAL and VPL <= VAL;
-                     null without alert limits
-    unbounded        ``{"epochs", "reasons"}``: HPL or VPL is infinite; how often for which reason
-    without          ``{"epochs", "reasons"}``: no levels were given
-    over_sigma       median of the level over the standard deviation, ``{"h", "v"}``, where it is finite
-    over_smallest    median of the level over the smallest possible one, the same; null where not known
-    misleading       null without truth; else ``epochs`` (error beyond its level without an alert, in any
-                     direction), ``hazardous`` (of these, error beyond an alert limit that the level is
-                     within), ``compared`` (epochs without an alert whose error is known and level finite)
-                     and ``horizontal``, ``vertical``: epochs in each region of the Stanford diagram, see
-                     `pntegrity.evaluate.stanford`
-    modes            ``{"mode", "east", "north", "up"}``: at how many epochs a fault mode dominates, the most
-                     frequent first
-    monitored        most fault modes that were monitored at an epoch
-    unmonitored      largest probability of all others
+    ===================== ====================================================================================
+    key                   value
+    ===================== ====================================================================================
+    epochs                epochs with levels, unbounded ones included
+    hpl_m, vpl_m          ``{"median", "p95"}`` of the levels of these epochs; null: unbounded at so many
+    along_m, cross_m      the same along and across the track; null without a course
+    hal_m, val_m          alert limits; null: none
+    available             ``{"epochs", "share"}`` of all epochs with the status ``ok``, HPL <= HAL and VPL <=
+                          VAL; null without alert limits
+    unbounded             ``{"epochs", "reasons"}``: HPL or VPL is infinite; how often for which reason
+    without               ``{"epochs", "reasons"}``: no levels were given
+    over_sigma            median of the level over the standard deviation, ``{"h", "v"}``, where it is finite
+    over_smallest         median of the level over the smallest possible one, the same; null where not known
+    misleading            null without truth; else ``epochs`` (error beyond its level without an alert, in any
+                          direction), ``hazardous`` (of these, error beyond an alert limit that the level is
+                          within), ``compared`` (epochs without an alert whose error is known and level
+                          finite) and ``horizontal``, ``vertical``: epochs in each region of the Stanford
+                          diagram, see `pntegrity.evaluate.stanford`
+    modes                 ``{"mode", "east", "north", "up"}``: at how many epochs a fault mode dominates, the
+                          most frequent first
+    monitored             most fault modes that were monitored at an epoch
+    unmonitored           largest probability of all others
     false_alerts_per_hour largest number that the probability of a false alert an epoch amounts to, at the
-                     run's interval, were its epochs independent; null where not stated
-    risk_per_epoch   share of the integrity risk that one epoch gets; null where not stated
-    promise          what the levels assume, as the run was told
-    ================ ======================================================================================
+                          run's interval, were its epochs independent; null where not stated
+    risk_per_epoch        share of the integrity risk that one epoch gets; null where not stated
+    promise               what the levels assume, as the run was told
+    ===================== ====================================================================================
     """
     p = protected(table, facts)
     if p is None:

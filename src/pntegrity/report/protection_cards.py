@@ -22,14 +22,16 @@ def card(numbers: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Return the figure of the page's head: label, value, unit, note."""
     p = numbers["protection"]
     value, _, unit = level_text(p["hpl_m"]["p95"]).partition(" ")
-    note = f"horizontal; median {level_text(p['hpl_m']['median'])}; up 95 % {level_text(p['vpl_m']['p95'])}"
+    note = (
+        f"horizontal; median {level_text(p['hpl_m']['median'])}; up 95\u00a0% {level_text(p['vpl_m']['p95'])}"
+    )
     if p["available"]:
         note += f"; within alert limits {percent(p['available']['share'])} %"
-    return "Protection level, 95 %", value, unit, note
+    return "Protection level, 95\u00a0%", value, unit, note
 
 
 def level_table(numbers: Mapping[str, Any]) -> str:
-    """Return how large the levels are, and how near to what they could be at best."""
+    """Return how large the levels are, and how near to what they could be at best, as far as it is known."""
     p = numbers["protection"]
     ways = (("Horizontal", "hpl_m", "h"), ("Vertical", "vpl_m", "v"))
     more = (("Along track", "along_m", ""), ("Across track", "cross_m", ""))
@@ -44,7 +46,10 @@ def level_table(numbers: Mapping[str, Any]) -> str:
         if p[key]
     ]  # fmt: skip
     titles = ("Level", "Median", "95 %", "Alert limit", "Times sigma", "Times the smallest possible")
-    return table_of(titles, rows, "white") + f"<p class='quiet'>{escaped(' '.join(_about(p, numbers)))}</p>"
+    told = [i for i in range(len(titles)) if any(row[i] != "–" for row in rows)]
+    shown = [tuple(row[i] for i in told) for row in rows]
+    table = table_of(tuple(titles[i] for i in told), shown, "white")
+    return table + f"<p class='quiet'>{escaped(' '.join(_about(p, numbers)))}</p>"
 
 
 def _times(ratio: float | None) -> str:

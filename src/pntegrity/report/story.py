@@ -349,7 +349,9 @@ def _misled(p: Protected, at: npt.NDArray[np.intp]) -> str:
 
 
 def _kept(outcomes: Sequence[Outcome], p: Protected, date: bool) -> Iterator[Sentence]:
-    """Yield how large the levels were, and whether they held."""
+    """Yield how large the levels were, and whether they held; nothing where none was finite."""
+    if not any(np.isfinite(a.level).any() for a in p.axes):
+        return
     level = (level_text(float(np.quantile(a.level[p.given], 0.5, method="higher"))) for a in p.axes)
     text = "protection levels of {} horizontal and {} vertical (median)".format(*level)
     compared, misled = int(p.compared.sum()), int(p.misleading.sum())

@@ -90,6 +90,7 @@
     const style = getComputedStyle(document.documentElement);
     const layout = merge(base(figure, style), resolve(figure.layout, style));
     const data = resolve(figure.data, style);
+    if (narrow()) for (const trace of data) if (trace.colorbar) trace.colorbar = { ...trace.colorbar, len: 0.7 };
     if (drawn.has(box)) data.forEach((trace, i) => { trace.visible = box.data[i] ? box.data[i].visible : trace.visible; });
     const first = !drawn.has(box);
     drawn.set(box, figure);
