@@ -17,7 +17,7 @@ from pntegrity.physics.time import SECOND_NS
 from pntegrity.records import Epoch, FloatArray, Inertial
 from pntegrity.sensors.snapshot import snapshot
 
-__all__ = ["MOST_LAG_S", "estimate_lag", "without_lag"]
+__all__ = ["MOST_LAG_S", "estimate_lag", "tracks", "without_lag"]
 
 #: A lag is believed where this much of the accelerations is explained, and its standard deviation is at most
 #: this, s; lags are looked for up to `MOST_LAG_S`.
@@ -89,7 +89,7 @@ def estimate_lag(
     felt = Felt(
         np.asarray((whole.t_ns - first) * 1e-9), whole.dt_s, whole.angle_rad[:, 2], whole.velocity_mps[:, :2]
     )
-    positions, speeds, noise = _tracks(epochs, options)
+    positions, speeds, noise = tracks(epochs, options)
     by_speed = _lag_of(felt, epochs, speeds, 1)
     step = np.median(np.diff([e.t_ns for e in epochs])) * 1e-9 if len(epochs) > 1 else 1.0
     if not noise * np.sqrt(6.0) / step**2 <= POSITIONS_MPS2:
@@ -111,9 +111,21 @@ def _lag_of(felt: Felt, epochs: Sequence[Epoch], track: FloatArray, order: int) 
     return find_lag(felt, np.asarray(t_s), track[there], order, MOST_LAG_S)
 
 
-def _tracks(epochs: Sequence[Epoch], options: GnssOptions) -> tuple[FloatArray, FloatArray, float]:
-    """Return positions and velocities, north and east, shapes (n, 2), nan where there are none, and the
-    standard deviation that fixes state for their positions; inf for snapshots.
+def tracks(epochs: Sequence[Epoch], options: GnssOptions) -> tuple[FloatArray, FloatArray, float]:
+    """Return how the antenna moved.
+
+    Parameters
+    ----------
+    epochs : sequence of Epoch
+        With fixes, sources that tell a position, or code and range rates.
+    options : GnssOptions
+        For snapshots from code and range rates.
+
+    Returns
+    -------
+    tuple
+        Positions, m, and velocities, m/s, north and east, shapes (n, 2), nan where there are none; and the
+        standard deviation that fixes state for their positions, m, inf for snapshots.
     """
     both = [_from_fix(e) or _from_sources(e, options) or _from_snapshot(e, options) for e in epochs]
     place = np.array([p for p, _, _ in both])

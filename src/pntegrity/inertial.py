@@ -20,12 +20,14 @@ from pntegrity.estimators.gnss_ins import GnssIns
 from pntegrity.formats._source import read_text
 from pntegrity.formats.fixes import POSITION_KEYS, VELOCITY_KEYS, read_fixes
 from pntegrity.formats.imu_table import mounting, read_imu
-from pntegrity.imu_lag import MOST_LAG_S, estimate_lag, without_lag
+from pntegrity.imu_lag import MOST_LAG_S, estimate_lag, tracks, without_lag
 from pntegrity.kernels.factor_set import FactorSet
 from pntegrity.physics.time import SECOND_NS, from_iso
-from pntegrity.records import Epoch, Observation
+from pntegrity.records import Epoch, Inertial, Observation
+from pntegrity.sensors.imu_check import check_level, check_turns
 from pntegrity.sensors.imu_spec import read_imu_spec
 from pntegrity.sensors.increments import with_increments
+from pntegrity.sensors.reach import check_reach
 from pntegrity.vehicle import carried_on, check_clocks, sources_of
 
 __all__ = [
@@ -44,11 +46,15 @@ VEHICLE = "multi_source"
 UNUSED: dict[str, tuple[Any, ...]] = {
     "imu": (None,), "fixes": (None,), "factors": (None,), "heading_deg": (None,), "coupling": (None,),
     "zupt": (False,), "lever_arm_m": ((0.0, 0.0, 0.0),), "fix_velocity": (True,),
-    "fix_velocity_lag_s": (0.0,),
+    "fix_velocity_lag_s": (0.0,), "imu_axes": ("x,y,z",), "imu_mount_deg": ((0.0, 0.0, 0.0),),
     "source": ((),),
 }  # fmt: skip
+#: Of these what a vehicle takes as well.
+BOTH = ("imu", "imu_axes", "imu_mount_deg", "heading_deg", "zupt", "lever_arm_m")
 #: A vehicle's usual acceleration: what a velocity of two positions does not know of its end, m/s^2.
 USUAL_MPS2 = 1.0
+#: Of so many epochs the track is made that the gyroscopes are compared with.
+MOST_PLACES = 2000
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Finite, Finite, Finite]
@@ -109,7 +115,8 @@ class InertialConfig(BaseModel):
         if self.source:
             raise ValueError(f"`source` goes with --estimator {VEHICLE}, not {estimator}")
         if estimator != ESTIMATOR and wanted:
-            raise ValueError(f"`{wanted[0]}` goes with --estimator {ESTIMATOR}, not {estimator}")
+            others = f" or {VEHICLE}" if wanted[0] in BOTH else ""
+            raise ValueError(f"`{wanted[0]}` goes with --estimator {ESTIMATOR}{others}, not {estimator}")
         if estimator != ESTIMATOR:
             return
         if self.imu is None:
@@ -297,7 +304,8 @@ def with_imu(
     Raises
     ------
     InputError
-        A table that cannot be used, no time in common with the epochs, or a lag that cannot be told.
+        A table that cannot be used, angles in another unit than it says, no time in common with the epochs,
+        a lag that cannot be told, or a beacon out of the reach of its own sound.
     """
     assert config.imu is not None
     auto = config.imu_lag_s == "auto"
@@ -305,6 +313,8 @@ def with_imu(
         config.imu, lag_s=0.0 if config.imu_lag_s == "auto" else config.imu_lag_s, axes=config.imu_axes,
         mount_deg=config.imu_mount_deg, origin_ns=config.origin_ns(), notes=notes,
     )  # fmt: skip
+    check_reach(options.sources, epochs)
+    _check_angles(whole, epochs, options, config.imu)
     if auto:
         whole = without_lag(whole, estimate_lag(whole, epochs, options, notes), config.imu, notes)
     if config.source:
@@ -315,3 +325,13 @@ def with_imu(
     except ValueError as error:
         hint = "Both must be in GPS time (not UTC) and of the same day; bare seconds begin at --imu-start"
         raise InputError(str(error), path=config.imu, hint=hint) from None
+
+
+def _check_angles(whole: Inertial, epochs: Sequence[Epoch], options: GnssOptions, path: Path) -> None:
+    """Refuse angles in another unit than the table says, where gravity or the track tells it (InputError)."""
+    if not epochs:
+        return
+    some = epochs[:: 1 + len(epochs) // MOST_PLACES]
+    place, _, sigma_m = tracks(some, options)
+    check_turns(whole, np.array([e.t_ns for e in some], dtype=np.int64), place, sigma_m, path)
+    check_level(whole, path)

@@ -38,6 +38,11 @@ IN_LOGS = ("fix", "lbl")
 #: Standard deviation of a travel time there and back, s, where neither table nor log tells one: what sound
 #: that is not quite as the profile says leaves of real ones.
 SIGMA_S = 2e-4
+#: What --imu-start is for the unit's table is a field for a source's.
+ORIGIN_HINT = "Say in its [[source]] table when second 0 was: origin_ns = 1436038440000000000, ns of GPS time"
+#: Half a turn or a whole one, rad: where no more degrees than that are in a file, of so many rows at least,
+#: these look like radians.
+TURN, FEWEST_ANGLES = {"bearing": 2.0 * np.pi, "elevation": 0.5 * np.pi}, 20
 #: The layout of a type of source where the table names none.
 USUAL = {"gnss": "rinex"}
 
@@ -95,8 +100,28 @@ def read_source(kind: str, table: Table, notes: list[str]) -> SourceFile:
     if not any(table.get(key) for key in ("file", "obs")):
         needed = "obs = [...] and nav = [...]" if USUAL.get(kind) else 'file = "its measurements.csv"'
         raise InputError(f"source {name}: no `{needed.split()[0]}`", hint=f"Write {needed}")
+    _check_names(name, table)
     with _named_in_errors(name):
         return reader(kind, table, notes)
+
+
+def _check_names(source: str, table: Table) -> None:
+    """Refuse what is no name of a file, or no time."""
+    origin = table.get("origin_ns", 0)
+    if isinstance(origin, bool) or not isinstance(origin, int):
+        raise InputError(
+            f"source {source}: `origin_ns` must be a whole number, not {origin!r}",
+            hint="It is the time of second 0, ns of GPS time since 1980-01-06",
+        )
+    for key in ("file", "obs", "nav"):
+        value = table.get(key, "")
+        names = value if isinstance(value, list | tuple) and key != "file" else [value]
+        if not all(isinstance(n, str) for n in names):
+            what = "the name of a file" if key == "file" else "names of files"
+            raise InputError(
+                f"source {source}: `{key}` must be {what}, not {value!r}",
+                hint=f'Write {key} = "..."' if key == "file" else f'Write {key} = ["..."]',
+            )
 
 
 @contextmanager
@@ -109,7 +134,7 @@ def _named_in_errors(source: str) -> Iterator[None]:
             raise
         raise InputError(
             f"source {source}: {error.message}", path=error.path, line=error.line, epoch=error.epoch,
-            hint=error.hint,
+            hint=ORIGIN_HINT if "--imu-start" in error.hint else error.hint,
         ) from None  # fmt: skip
 
 
@@ -163,7 +188,21 @@ def _csv(kind: str, table: Table, notes: list[str]) -> SourceFile:
     said = read_acoustics(path, source=name, beacons=known, origin_ns=origin, notes=notes)
     silent = set(known or ()) - {sensor_of(k) for o in said for k in o.keys}
     notes += [f"source {name}: beacon {b!r} never replies" for b in sorted(silent)]
+    _told_angles(path, said, notes)
     return SourceFile({}, said)
+
+
+def _told_angles(path: Path, said: Sequence[Observation], notes: list[str]) -> None:
+    """Note angles in degrees that are so small as if they were radians."""
+    rows = [(sensor_of(k), abs(y)) for o in said for k, y in zip(o.keys, np.degrees(o.y), strict=True)]
+    angles = {n: [y for name, y in rows if name == n] for n in ("bearing", "elevation")}
+    if not all(len(y) >= FEWEST_ANGLES and 0.0 < max(y) <= TURN[n] for n, y in angles.items()):
+        return
+    notes.append(
+        f"{path.name}: no bearing is above {max(angles['bearing']):.2g} deg and no elevation above "
+        f"{max(angles['elevation']):.2g} deg: where these are radians, name the columns bearing_rad and "
+        "elevation_rad"
+    )
 
 
 def _named(fix: Observation, source: str) -> Observation:

@@ -135,7 +135,7 @@ def stuck(from_s: float, to_s: float, names: int) -> Change:
         ({"usbl": renamed("bearing_deg", "bearing_rad")}, ("usbl.csv, line", "source usbl", "bearing_deg")),
         ({"usbl": renamed("bearing_deg", "bearing")}, ("usbl.csv", "has no unit", "bearing_rad")),
         ({"lbl": renamed("one_way_ms", "one_way_s")}, ("lbl.csv", "source lbl", "one_way_s", "ms")),
-        ({"lbl": rows(lambda t, c: [*c[:2], "-" + c[2]])}, ("lbl.csv, line 2", "no usable line")),
+        ({"lbl": rows(lambda t, c: [*c[:2], "-" + c[2]])}, ("lbl.csv, line 3", "no usable line")),
         ({"imu": lambda lines: [*lines[:2], *lines[:1:-1]]}, ("imu.csv", "Sort the table")),
     ],
 )  # fmt: skip
@@ -148,6 +148,16 @@ def test_files_that_cannot_be_used_are_refused_with_source_and_file(broken, file
 @pytest.mark.parametrize(
     ("toml", "words"),
     [
+        (("3361184", "-3361184"), ("source lbl", "beacon 'AP2'", "km from where gnss says", "signs")),
+        (("y_m = 4591086", "y_m = -4591086"), ("source usbl", "the transponder", "its sound comes from")),
+        (("sigma_s = 0.001", "sound_speed_mps = 15"), ("`sound_speed_mps`", "1300 and 1800 m/s, not 15")),
+        (("sigma_s = 0.001", 'two_way = "yes"'), ("source lbl", "`two_way` must be true or false")),
+        (("sigma_s = 0.001", "sea_height_m = 0\nprofile = 3"), ("source lbl", "`profile` must be", "file")),
+        (
+            ("sigma_s = 0.001", "sea_height_m = 0\nprofile = { depth_m = [0, 'a'], speed_mps = [1500, 1] }"),
+            ("`profile`: `depth_m` must be a number, not 'a'",),
+        ),
+        (("sigma_m = 0.3", "sea_height_m = 'high'"), ("source depth", "`sea_height_m` must be a number")),
         (("AP2 = {", "AP5 = {"), ("lbl.csv", "source lbl", "beacon 'AP2' has no coordinates", "AP5")),
         (("AP2 = { x_m", "AP2 = { delay_s"), ("source lbl", "AP2")),
         (("sigma_s = 0.001", "prior = 2"), ("source lbl", "`prior`", "0 to 1")),
@@ -170,7 +180,47 @@ def test_a_profile_that_ends_above_the_beacons_is_refused_with_both_depths(broke
     path = tmp_path / "ssp.csv"
     path.write_text("depth_m,speed_mps\n0,1500\n50,1498\n")
     ran = broken(toml=[("sigma_s = 0.001", f'sea_height_m = 0.0\nprofile = "{path}"')])
-    assert ran.called.refused("source lbl", "ends at 50.0 m", "beacon 'AP1'")
+    assert ran.called.refused("source lbl", "ends at 50.0 m", "beacon 'AP1'", "add a row at that depth")
+
+
+@pytest.mark.parametrize("value", ["3", "['a.csv', 'b.csv']"])
+def test_a_file_that_is_no_name_is_refused(broken, ship, value):
+    ran = broken(toml=[(f'file = "{ship / "depth.csv"}"', f"file = {value}")])
+    assert ran.called.refused("source depth", "`file` must be the name of a file", 'file = "..."')
+
+
+def test_travel_times_a_thousand_times_too_short_are_refused(broken):
+    ran = broken(lbl=rows(lambda t, c: [*c[:2], f"{float(c[2]) * 1e-3:.9f}"]))
+    assert ran.called.refused("source lbl", "beacon 'AP1'", "unit of its times")
+
+
+def test_bare_seconds_of_a_source_need_the_field_that_says_when_they_begin(broken):
+    def bare(lines: Lines) -> Lines:
+        start = int(lines[2].partition(",")[0])
+        cells = (line.split(",") for line in lines[2:])
+        table = [f"{(int(c[0]) - start) * 1e-9:.3f},{c[1]}" for c in cells]
+        return [lines[0], lines[1].replace("t_ns", "t_s"), *table]
+
+    ran = broken(depth=bare)
+    assert ran.called.refused("depth.csv", "source depth", "bare seconds", "origin_ns")
+    assert "--imu-start" not in ran.err
+    ran = broken(depth=bare, toml=[("sigma_m = 0.3", 'origin_ns = "2024-05-17T16:53:26"')])
+    assert ran.called.refused("source depth", "`origin_ns` must be a whole number")
+
+
+def test_marks_of_the_byte_order_are_no_part_of_a_name(broken):
+    def marked(lines: Lines) -> Lines:
+        return ["\ufeff" + lines[1], *lines[2:]]
+
+    assert broken("--end", "20", imu=marked, lbl=marked, depth=marked).honest()
+
+
+def test_angles_that_look_like_radians_are_told(broken):
+    def small(t: float, c: list[str]) -> list[str]:
+        return [*c[:2], *(f"{np.radians(float(v)):.9f}" for v in c[2:])]
+
+    told = "where these are radians, name the columns bearing_rad and elevation_rad"
+    assert told in broken("--end", "15", usbl=rows(small)).notes
 
 
 @pytest.mark.parametrize(
@@ -179,10 +229,43 @@ def test_a_profile_that_ends_above_the_beacons_is_refused_with_both_depths(broke
         ("lbl.AP1 ramp 0.8 m/s 20:30", ("lbl.AP1 measures s, not m",)),
         ("usbl.bearing bias 1 m 20:30", ("usbl.bearing measures rad, not m",)),
         ("dvl.X bias 1 m 20:30", ("no such row", "lbl.AP1")),
+        ("lbl.AP1 ramp 0.8 ms/s 120:140", ("no epoch in that time", "from 0 s to 59 s", "every 1 s")),
+        ("lbl.AP1 bias 8 m 120:140", ("lbl.AP1 measures s, not m",)),
+        ("gnss.G01 bias 9 m 60:", ("no epoch in that time", "from 0 s to 59 s")),
+        ("usbl.bearing sine 9 deg 5 s 20.2:20.8", ("no epoch in that time", "from 0 s to 59 s")),
+        ("clock-drift 1 m/s 100:200", ("no epoch in that time", "from 0 s to 59 s")),
+        (
+            "depth bias 9 m 2024-05-17T16:00:00/2024-05-17T16:30:00",
+            ("no epoch in that time", "from 2024-05-17T16:53:26 to 2024-05-17T16:54:25"),
+        ),
     ],
 )
 def test_a_fault_on_what_is_not_there_is_refused_with_what_is(broken, fault, words):
     assert broken("--fault", fault).called.refused(*words)
+
+
+def test_a_fault_where_its_sensor_is_silent_is_refused_with_when_it_speaks(broken):
+    silent = rows(lambda t, c: c if c[1] != "AP1" or 10.0 <= t <= 40.0 else None)
+    ran = broken("--fault", "lbl.AP1 bias 5 ms 45:55", lbl=silent)
+    assert ran.called.refused("no such row at that time", "from 10 s to 40 s after the first")
+
+
+def test_a_unit_in_degrees_or_whose_rates_are_too_small_is_refused_by_the_track(pnt, tmp_path):
+    folder = tmp_path / "ship"
+    folder.mkdir()
+    simulated_vessel(300, 1.0, 100.0, 1).write(folder)
+    table = folder / "imu.csv"
+    head, lines = table.read_text().splitlines()[:2], table.read_text().splitlines()[2:]
+    for factor, words in (
+        (np.pi / 180.0, ("57.3 times too small", "gyro_x_rps", "dtheta_x_rad")),
+        (0.01, ("100 times too small", "increments that are named rates", "dtheta_x_rad")),
+        (180.0 / np.pi, ("angular rates are absurd", "gyro_x_dps", "dtheta_x_deg")),
+    ):
+        cells = (line.split(",") for line in lines)
+        other = [",".join([c[0], *(f"{float(v) * factor:.9e}" for v in c[1:4]), *c[4:]]) for c in cells]
+        table.write_text("\n".join([*head, *other]) + "\n")
+        ran = pnt("run", "--config", folder / "vehicle.toml", "--end", "240", "--out", tmp_path / "out")
+        assert ran.refused("imu.csv", *words)
 
 
 def test_what_is_damaged_is_dropped_and_told_once(broken):

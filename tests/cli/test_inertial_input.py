@@ -9,7 +9,7 @@ import pytest
 
 from gnss_logs import PLACE, START
 from pntegrity.physics.frames import ecef_to_geodetic
-from pntegrity.physics.time import to_week_tow
+from pntegrity.physics.time import to_iso, to_week_tow
 
 SECOND = 10**9
 HEAD = "gps_week,tow_s,gyr_x_rps,gyr_y_rps,gyr_z_rps,acc_x_mps2,acc_y_mps2,acc_z_mps2"
@@ -108,6 +108,28 @@ def test_unsorted_stamps_are_sorted_or_refused(ins, imu):
     assert "1 stamps go back" in result.notes
     np.random.default_rng(1).shuffle(lines)
     assert ins(imu(lines)).called.refused("imu.csv", "Sort the table")
+
+
+def test_a_fault_beyond_the_end_of_the_log_is_refused_with_when_it_ends(ins, run, imu, files):
+    last = f"from 0 s to {len(files.epochs) - 1} s after the first, every 1 s"
+    for refused in (
+        ins(imu(), "--fault", "* bias 10 m 5000:6000"),
+        run("--fault", "* ramp 1 m/s 5000:"),
+        run("--fault", "clock-drift 1 m/s 5000:6000"),
+    ):
+        assert refused.called.refused("fault", "no epoch in that time", last, "START:END")
+    absolute = run("--fault", "* sine 9 m 5 s 1999-01-01T00:00:00/1999-01-01T01:00:00").called
+    assert absolute.refused("no epoch in that time", f"from {to_iso(START)} to ")
+
+
+def test_forces_and_increments_that_are_taken_for_each_other_are_told(ins, imu):
+    dt = 0.02
+    small = tuple(v * dt for v in FORCE)
+    assert ins(imu(force=small)).called.refused("imu.csv", "increments that are named forces", "dv_x_mps")
+    angles = (
+        HEAD.replace("gyr_", "dtheta_").replace("rps", "rad").replace("acc_", "dv_").replace("mps2", "mps")
+    )
+    assert ins(imu(head=angles)).called.refused("imu.csv", "forces that are named increments", "acc_x_mps2")
 
 
 def test_times_that_do_not_overlap(ins, imu):

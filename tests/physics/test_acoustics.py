@@ -147,7 +147,7 @@ def test_depths_count_from_the_sea_surface():
 
 
 def test_a_profile_that_does_not_reach_names_both_depths():
-    with pytest.raises(ValueError, match=r"ends at 3000\.0 m, beacon 'A' is 3100\.0 m deep.*extend"):
+    with pytest.raises(ValueError, match=r"ends at 3000\.0 m, beacon 'A' is 3100\.0 m deep.*add a row"):
         OCEAN.check(3100.0, "beacon 'A'")
     with pytest.raises(ValueError, match=r"begins at 0\.0 m, a place is -43\.0 m deep.*sea surface"):
         OCEAN.check(-43.0)

@@ -22,7 +22,10 @@ from pntegrity.physics.frames import geodetic_of
 from pntegrity.records import FloatArray
 from pntegrity.states import freeze
 
-__all__ = ["Arrival", "Path", "Rays", "SoundSpeed", "arrival_at", "effective_speed", "path_between", "rays"]
+__all__ = [
+    "FASTEST_MPS", "SLOWEST_MPS", "Arrival", "Path", "Rays", "SoundSpeed", "arrival_at", "effective_speed",
+    "path_between", "rays",
+]  # fmt: skip
 
 #: Speeds of sound in water, m/s.
 SLOWEST_MPS, FASTEST_MPS = 1300.0, 1800.0
@@ -87,13 +90,13 @@ class SoundSpeed:
         if depth_m > self.depth_m[-1]:
             raise ValueError(
                 f"the sound-speed profile ends at {self.depth_m[-1]:.1f} m, {what} is {depth_m:.1f} m deep: "
-                "give a deeper profile, or extend this one (`extended`)"
+                "give a deeper profile, or add a row at that depth"
             )
         if depth_m < self.depth_m[0] - TOP_GAP_M or depth_m < -TOP_GAP_M:
             raise ValueError(
                 f"the sound-speed profile begins at {self.depth_m[0]:.1f} m, {what} is {depth_m:.1f} m deep: "
-                "give one from the surface on; are depths down positive, and is the height of the sea "
-                "surface right?"
+                "give one from the surface on, depths positive down; see whether `sea_height_m`, the height "
+                "of the sea surface above the ellipsoid, is right"
             )
 
     def extended(self, depth_m: float) -> SoundSpeed:

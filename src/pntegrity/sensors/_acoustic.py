@@ -9,17 +9,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pntegrity.kernels.rotations import rotation, skew
-from pntegrity.physics.acoustics import Arrival, Path, SoundSpeed, arrival_at, path_between
+from pntegrity.physics.acoustics import (
+    FASTEST_MPS,
+    SLOWEST_MPS,
+    Arrival,
+    Path,
+    SoundSpeed,
+    arrival_at,
+    path_between,
+)
 from pntegrity.physics.frames import geodetic_of, geodetic_to_ecef
 from pntegrity.records import FloatArray, Observation
 from pntegrity.sensors.source import Pose, SourceRows
 from pntegrity.states import freeze
 
 __all__ = [
-    "Beacon", "Mounted", "Row", "Travel", "Water", "assemble", "beacon_of", "check_positive", "depth_of",
-    "matrix_of", "received_ns", "travel", "variances", "vector",
+    "Beacon", "Mounted", "Row", "Travel", "Water", "assemble", "beacon_of", "check_flag", "check_number",
+    "check_positive", "depth_of", "matrix_of", "received_ns", "travel", "variances", "vector",
 ]  # fmt: skip
 
+PROFILE = ("depth_m", "speed_mps")
 ECEF, GEODETIC = ("x_m", "y_m", "z_m"), ("lat_deg", "lon_deg", "height_m")
 #: How far before its first time a track still tells where the vehicle was, ns.
 TRACK_SLACK_NS = 20_000_000
@@ -67,21 +76,31 @@ def beacon_of(name: str, table: Any, field: str = "beacons") -> Beacon:
             f"{where} has no coordinates: give x_m, y_m, z_m (ECEF), or lat_deg, lon_deg and height_m above "
             "the ellipsoid"
         )
-    a, b, c = (_number(table[n], f"{where}: `{n}`") for n in given)
+    a, b, c = (check_number(table[n], f"{where}: `{n}`") for n in given)
     if given == GEODETIC and (abs(a) > 90.0 or abs(b) > 360.0):
         raise ValueError(f"{where}: `lat_deg` {a:g} and `lon_deg` {b:g} are no place")
     place = np.array([a, b, c]) if given == ECEF else geodetic_to_ecef(np.radians(a), np.radians(b), c)
     if not 6.3e6 < float(np.linalg.norm(place)) < 6.5e6:
-        raise ValueError(f"{where} is not near the surface of the Earth: are coordinates in metres, ECEF?")
-    delay = _number(table.get("delay_s", 0.0), f"{where}: `delay_s`")
+        raise ValueError(
+            f"{where} is not near the surface of the Earth: {', '.join(ECEF)} must be ECEF, in metres, and "
+            "height_m above the ellipsoid"
+        )
+    delay = check_number(table.get("delay_s", 0.0), f"{where}: `delay_s`")
     check_positive(f"{where}: `delay_s`", delay, zero=True)
     return Beacon(place, delay)
 
 
-def _number(value: Any, what: str) -> float:
+def check_number(value: Any, what: str) -> float:
+    """Return a finite number (ValueError, named `what`: it is none)."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise ValueError(f"{what} must be a number, not {value!r}")
     return float(value)
+
+
+def check_flag(what: str, value: Any) -> None:
+    """Check that a value is true or false (ValueError, named `what`)."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{what} must be true or false, not {value!r}")
 
 
 def check_positive(what: str, value: Any, *, zero: bool = False) -> None:
@@ -92,7 +111,7 @@ def check_positive(what: str, value: Any, *, zero: bool = False) -> None:
     ValueError
         Named `what`.
     """
-    number = _number(value, what)
+    number = check_number(value, what)
     if not (number > 0.0 or (zero and number == 0.0)):
         raise ValueError(f"{what} must be {'0 or ' if zero else ''}positive, not {value!r}")
 
@@ -127,6 +146,13 @@ def matrix_of(what: str, angles_deg: Sequence[float]) -> FloatArray:
     return np.asarray(rotation([0.0, 0.0, yaw]) @ rotation([0.0, pitch, 0.0]) @ rotation([roll, 0.0, 0.0]))
 
 
+def _numbers(values: Any, what: str) -> FloatArray:
+    values = values.tolist() if isinstance(values, np.ndarray) else values
+    if not isinstance(values, Sequence) or isinstance(values, str):
+        raise ValueError(f"{what} must be a list of numbers, not {values!r}")
+    return np.array([check_number(v, what) for v in values])
+
+
 class Water:
     """The water as an acoustic source's fields describe it.
 
@@ -150,14 +176,23 @@ class Water:
             raise ValueError(
                 "`sea_height_m`, the height of the sea surface above the ellipsoid, goes with `profile`"
             )
-        self.sea_height_m = 0.0 if sea_height_m is None else _number(sea_height_m, "`sea_height_m`")
+        self.sea_height_m = 0.0 if sea_height_m is None else check_number(sea_height_m, "`sea_height_m`")
         if profile is None:
-            check_positive("`sound_speed_mps`", speed_mps)
+            speed_mps = check_number(speed_mps, "`sound_speed_mps`")
+            if not SLOWEST_MPS <= speed_mps <= FASTEST_MPS:
+                raise ValueError(
+                    f"`sound_speed_mps` must lie between {SLOWEST_MPS:g} and {FASTEST_MPS:g} m/s, not "
+                    f"{speed_mps:g}"
+                )
             profile = SoundSpeed.constant(speed_mps)
         elif isinstance(profile, Mapping):
-            if set(profile) != {"depth_m", "speed_mps"}:
+            if set(profile) != set(PROFILE):
                 raise ValueError("`profile` must have the lists `depth_m` and `speed_mps`, nothing else")
-            profile = SoundSpeed(profile["depth_m"], profile["speed_mps"])
+            profile = SoundSpeed(*(_numbers(profile[n], f"`profile`: `{n}`") for n in PROFILE))
+        if not isinstance(profile, SoundSpeed):
+            raise ValueError(
+                f"`profile` must be the name of a file, or lists `depth_m` and `speed_mps`, not {profile!r}"
+            )
         self.sound: SoundSpeed = profile
 
     def check(self, beacon: Beacon, name: str) -> None:
