@@ -20,7 +20,16 @@ from pntegrity.sensors.source import Source
 from pntegrity.source_files import LOADING, fields_of, listed, name_of, read_source
 from pntegrity.states import source_of
 
-__all__ = ["carried_on", "check_clocks", "check_names", "loaded", "priors_of", "sources_of", "types"]
+__all__ = [
+    "carried_on",
+    "check_clocks",
+    "check_names",
+    "loaded",
+    "priors_of",
+    "sources_of",
+    "types",
+    "with_fields",
+]
 
 #: A source that begins so much later than the first, or ends so much earlier than the last, is told, s.
 LATE_S = 30.0
@@ -95,6 +104,30 @@ def check_names(tables: Sequence[Mapping[str, Any]], stated: Iterable[str]) -> N
     for name in stated:
         if names and source_of(name) not in names:
             raise ValueError(f"[ism.sources] has {name!r}, which is no source; there are {', '.join(names)}")
+
+
+def with_fields(tables: Sequence[Mapping[str, Any]], given: Any) -> tuple[dict[str, Any], ...]:
+    """Return ``[[source]]`` tables with other fields, such as the sigmas of a calibration.
+
+    Parameters
+    ----------
+    tables : sequence of mapping
+    given : mapping of str to mapping
+        Fields by name of the source; they win.
+
+    Raises
+    ------
+    ValueError
+        Naming what is no source, or no table of fields.
+    """
+    names = list(map(name_of, tables))
+    for name, fields_ in given.items() if isinstance(given, Mapping) else [("", given)]:
+        if not isinstance(fields_, Mapping):
+            raise ValueError(f"[noise.sources] must hold a table for each source, not {fields_!r}")
+        if name not in names:
+            there = f"there are {', '.join(names)}" if names else "the run has no [[source]] tables"
+            raise ValueError(f"[noise.sources] has {name!r}, which is no source; {there}")
+    return tuple({**table, **given.get(name, {})} for name, table in zip(names, tables, strict=True))
 
 
 def _source(table: dict[str, Any], number: int) -> Source:

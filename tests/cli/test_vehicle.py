@@ -83,10 +83,6 @@ def test_what_does_not_go_together_is_refused(vehicle, pnt, tmp_path):
     assert pnt("run", "--config", vehicle(), "--fixes", tmp_path / "bow.csv", *out).refused("fixes")
 
 
-def test_nothing_of_it_can_be_calibrated(vehicle, pnt, tmp_path):
-    assert pnt("calibrate", "--config", vehicle(), "--out", tmp_path / "noise.toml").refused("nothing to fit")
-
-
 def test_a_run_ends_at_its_end_where_the_unit_goes_on(vehicle):
     loaded = load_epochs(make_config(load_toml(vehicle()) | {"start": "10", "end": "20"}))
     assert [round((e.t_ns - START) * 1e-9) for e in loaded.epochs] == list(range(10, 21))

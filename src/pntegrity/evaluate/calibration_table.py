@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from pntegrity.evaluate.calibrate import Calibration
+from pntegrity.evaluate.calibrate_sources import Judged, Sigma, SourceCalibration
 
 if TYPE_CHECKING:
     from rich.console import Group
+    from rich.table import Table
 
-__all__ = ["calibration_facts", "calibration_table"]
+__all__ = ["calibration_facts", "calibration_table", "source_facts", "source_table"]
 
 
 def calibration_facts(result: Calibration) -> dict[str, Any]:
@@ -66,3 +69,69 @@ def _levels(result: Calibration) -> list[str]:
 
 def _cell(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
+
+
+def source_facts(result: SourceCalibration) -> dict[str, Any]:
+    """Return what the noise file of a vehicle tells of how it was found."""
+    numbers = ("given", "likely", "error", "lasting", "fitted", "ratio_given", "ratio_fitted")
+    return {
+        "training_epochs": result.training,
+        "validation_epochs": result.validation,
+        "log_likelihood_gain_per_epoch": round(result.gain, 3),
+        "training_left_out": result.left_out,
+        "validation_given": _judged_facts(result.given),
+        "validation_fitted": _judged_facts(result.fitted),
+        "sigma": {
+            f"{s.source}.{s.field}": {n: float(f"{getattr(s, n):.4g}") for n in numbers}
+            | ({"reason": s.reason} if s.reason else {})
+            for s in result.sigmas
+        },
+    }
+
+
+def _judged_facts(judged: Judged) -> dict[str, Any]:
+    return {"alarms": judged.alarms, "left_out": judged.left_out, "whiteness": judged.whiteness}
+
+
+def source_table(result: SourceCalibration) -> Group:
+    """Return the sigmas of a vehicle, innovations by source before and after, and alarms on the validation
+    part.
+    """
+    from rich.console import Group
+    from rich.table import Table
+
+    def table(*columns: str, title: str | None = None) -> Table:
+        return Table(*columns, title=title, box=None, pad_edge=False, title_justify="left")
+
+    head = f"fitted on {result.training} epochs, judged on the next {result.validation}"
+    left = ", ".join(f"{name} {n}" for name, n in result.left_out.items())
+    head += f"; left out of the first, epochs: {left}" if left else ""
+    columns = ("given", "likely", "+-", "lasting", "fitted", "ratio:\ngiven, fitted")
+    sizes = table("source", "key", *columns, title=head)
+    sizes.columns[1].no_wrap = True
+    for s in result.sigmas:
+        sizes.add_row(*_sigma_cells(s))
+    what = "innovations on these, correlated after so many intervals of the source"
+    white = table("source", "sigmas", "1", "5", "30", "mean square", "left out, epochs", title=what)
+    alarms = table("monitor", "alarms, given", "fitted")
+    for source in dict.fromkeys(s.source for s in result.sigmas):
+        for name, judged in (("given", result.given), ("fitted", result.fitted)):
+            if source in judged.whiteness:
+                out = sum(n for who, n in judged.left_out.items() if who.partition(".")[0] == source)
+                white.add_row(source, name, *(_cell(c) for c in _row(judged.whiteness[source])), str(out))
+    for monitor, n in result.given.alarms.items():
+        alarms.add_row(monitor, str(n), str(result.fitted.alarms[monitor]))
+    notes = [f"{s.source} {s.field} stays: {s.reason}" for s in result.sigmas if s.reason]
+    notes += [f"{s.source} {s.field}: {s.caution}" for s in result.sigmas if s.caution]
+    return Group(sizes, "", white, "", alarms, *(["", *notes] if notes else []))
+
+
+def _sigma_cells(s: Sigma) -> list[str]:
+    error = f"{100.0 * s.error:.0f} %" if isfinite(s.error) else ""
+    found = (
+        ["stays", "", "", ""]
+        if s.reason
+        else [f"{s.likely:.3g}", error, f"{s.lasting:.2f}", f"{s.fitted:.3g}"]
+    )
+    ratios = (f"{r:.2f}" if isfinite(r) else "-" for r in (s.ratio_given, s.ratio_fitted))
+    return [s.source, s.field, f"{s.given:.3g}", *found, ", ".join(ratios)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -82,7 +82,11 @@ def usual_lags_s(t_ns: npt.NDArray[np.int64]) -> tuple[float, ...]:
     return tuple(round(n * each * interval, 6) for n in (*LAGS[:2], last))
 
 
-def whiteness(updates: Iterable[Update], lags_s: Sequence[float] | None = None) -> dict[str, Any]:
+def whiteness(
+    updates: Iterable[Update],
+    lags_s: Sequence[float] | None = None,
+    part_of: Callable[[str], str] | None = None,
+) -> dict[str, Any]:
     """Return how far normalised innovations are from unit white noise, each kind of rows for itself.
 
     A row's autocorrelation at a lag is ``sum(a b) / sqrt(sum(a^2) sum(b^2))`` over pairs of innovations that
@@ -96,6 +100,9 @@ def whiteness(updates: Iterable[Update], lags_s: Sequence[float] | None = None) 
         In time order; of a repaired run the updates that were kept.
     lags_s : sequence of float, optional
         Lags, s; `usual_lags_s` where not given.
+    part_of : callable, optional
+        Gives the part that a row's key belongs to, where these shall be others than ``code``, ``carrier`` and
+        ``rate``: its source.
 
     Returns
     -------
@@ -112,8 +119,9 @@ def whiteness(updates: Iterable[Update], lags_s: Sequence[float] | None = None) 
     t_ns = np.array([u.t_ns for u in kept], dtype=np.int64)
     lags = usual_lags_s(t_ns) if lags_s is None else lags_s
     pairs = [_pairs(t_ns, run, lag) for lag in lags]
-    kinds = row_kinds(kept)
-    parts = {kind: _of(a[:, [kinds[k] == kind for k in keys]], pairs) for kind in KINDS}
+    kinds = row_kinds(kept) if part_of is None else {k: part_of(k) for k in keys}
+    names = KINDS if part_of is None else dict.fromkeys(kinds.values())
+    parts = {name: _of(a[:, [kinds[k] == name for k in keys]], pairs) for name in names}
     level = _of(a[:, [kinds[k] != "rate" for k in keys]], pairs)
     return {"lags_s": [float(lag) for lag in lags], **parts, "level": level}
 

@@ -33,7 +33,7 @@ from pntegrity.source_files import read_log
 from pntegrity.states import sensor_of
 from pntegrity.vehicle import loaded, sources_of
 
-__all__ = ["P_FA", "Ride", "Vessel", "missing", "vessel", "vessels"]
+__all__ = ["P_FA", "Ride", "Vessel", "missing", "monitors", "vessel", "vessels"]
 
 #: Of each monitor, an epoch.
 P_FA = 1e-6
@@ -92,21 +92,24 @@ class Vessel:
         monitored : bool
             False: the filter alone, which believes all.
         """
-        estimator = MultiSource(self._options())
+        estimator = MultiSource(self.options)
         policy: dict[str, Any] = {"p_fa": P_FA} | dict(estimator.policy)
-        pipeline = Pipeline(estimator, _monitors() if monitored else (), Policy(**policy))
+        pipeline = Pipeline(estimator, monitors() if monitored else (), Policy(**policy))
         epochs = apply_faults(self.epochs, [parse_fault(f) for f in faults])
         begin = time.thread_time()
         with uncollected():
             outcomes = tuple(pipeline.push(e) for e in epochs)
         return Ride(self, outcomes, time.thread_time() - begin, tuple(faults))
 
-    def _options(self) -> GnssOptions:
+    @property
+    def options(self) -> GnssOptions:
+        """Options of its filter."""
         ins = InsOptions(spec=SPEC, coupling="loose", heading_rad=self.heading_rad)
         return GnssOptions(max_gap_s=MultiSource.max_gap_s, ins=ins, sources=self.sources)
 
 
-def _monitors() -> tuple[Any, ...]:
+def monitors() -> tuple[Any, ...]:
+    """Return the monitors of a run that names none."""
     usual = MultiSource.monitoring
     ism = {"separation": {"ism": MESSAGES[MultiSource.surroundings]}}
     return tuple(

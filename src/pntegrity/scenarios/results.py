@@ -270,6 +270,26 @@ case; 6 with the published monitors and five passes.""",
         real=False,
     ),
     Campaign(
+        "vessel-pairs",
+        "Several sources beside an INS, simulated: sources led astray, alone and two together",
+        """The same ship. From 60 s on a source measures as from a place that drifts off by 0.3 m/s, as a
+spoofed receiver would, or a wrong sound speed; or two do so together; or a satellite and a beacon jump at
+once. Two sources at fault at once have a probability of 1e-8, which the risk tree leaves out: until the first
+alarm such a drift may be misleading (stated), from then on not. At the end of a drift the state may have
+followed it: who contradicts it then need not be at fault.""",
+        from_module("evidence_vessel_pairs", "vessel_pairs"),
+        real=False,
+    ),
+    Campaign(
+        "vessel-noise",
+        "Several sources beside an INS: are the sigmas of the sources right?",
+        """`pntegrity calibrate --config vehicle.toml`: sigmas are fitted on the first half of a log, without
+what the monitors leave out of it, and judged on the second: errors in units of each sigma, alarms at
+1e-6. The simulated ship is given sigmas that are wrong; those of the real vessels are those of
+docs/examples.""",
+        from_module("evidence_vessel_noise", "vessel_noise"),
+    ),
+    Campaign(
         "vessel-speed",
         "Several sources beside an INS: speed",
         """CPU time on one core of the ship with four sources (12 satellites, four beacons, USBL, depth) at

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from pntegrity.kernels.axes import local_axes
 from pntegrity.records import Observation
-from pntegrity.sensors._acoustic import Mounted, Row, assemble, check_positive, depth_of, variances, vector
+from pntegrity.sensors._acoustic import (
+    Mounted,
+    Row,
+    assemble,
+    check_number,
+    check_positive,
+    depth_of,
+    variances,
+    vector,
+)
 from pntegrity.sensors.source import Nuisance, Pose, SourceRows
 
 __all__ = ["Depth"]
@@ -37,6 +47,7 @@ class Depth:
         A value out of range.
     """
 
+    fitted: ClassVar[tuple[str, ...]] = ("sigma_m",)
     name: str = "depth"
     sigma_m: float = 0.1
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -49,8 +60,7 @@ class Depth:
         check_positive("`tide_sigma_m`", self.tide_sigma_m, zero=True)
         check_positive("`tide_walk_m`", self.tide_walk_m, zero=True)
         vector("lever_arm_m", self.lever_arm_m)
-        if not np.isfinite(self.sea_height_m):
-            raise ValueError(f"`sea_height_m` must be a number, not {self.sea_height_m!r}")
+        check_number(self.sea_height_m, "`sea_height_m`")
 
     @property
     def tide(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class Dvl:
         A value out of range.
     """
 
+    fitted: ClassVar[tuple[str, ...]] = ("sigma_mps",)
     name: str = "dvl"
     sigma_mps: float = 0.02
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)

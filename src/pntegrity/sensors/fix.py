@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from pntegrity.kernels.axes import local_axes
 from pntegrity.kernels.rotations import skew
 from pntegrity.records import FloatArray, Observation
 from pntegrity.sensors.source import Nuisance, Pose, SourceRows
@@ -28,6 +30,9 @@ class Fix:
         From the IMU to the point that the fix is of; forward, right, down.
     sigma_floor_m, sigma_floor_mps : float
         Added to the stated standard deviations, as a root of a sum of squares: what these do not say.
+    horizontal_factor, vertical_factor, velocity_factor : float
+        What the standard deviations of positions and of velocities are multiplied by then: a calibration
+        finds how much larger errors are than stated.
 
     Raises
     ------
@@ -35,10 +40,14 @@ class Fix:
         Naming the field and what is wrong.
     """
 
+    fitted: ClassVar[tuple[str, ...]] = ("horizontal_factor", "vertical_factor", "velocity_factor")
     name: str
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sigma_floor_m: float = 0.0
     sigma_floor_mps: float = 0.0
+    horizontal_factor: float = 1.0
+    vertical_factor: float = 1.0
+    velocity_factor: float = 1.0
 
     def __post_init__(self) -> None:
         arm = np.asarray(self.lever_arm_m, dtype=np.float64)
@@ -48,6 +57,10 @@ class Fix:
             value = getattr(self, field)
             if not value >= 0.0:
                 raise ValueError(f"source {self.name}: `{field}` must be at least 0, not {value!r}")
+        for field in self.fitted:
+            value = getattr(self, field)
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"source {self.name}: `{field}` must be above 0, not {value!r}")
 
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Return no states: a fix has none of its own."""
@@ -66,7 +79,9 @@ class Fix:
             "att": np.vstack([-skew(arm), -skew(swing)])[at],
             "bg": np.vstack([nothing, pose.C @ skew(self.lever_arm_m)])[at],
         }
-        return SourceRows(observation.keys, observation.y - expected[at], H, self._spread(observation, at))
+        return SourceRows(
+            observation.keys, observation.y - expected[at], H, self._spread(observation, at, expected[:3])
+        )
 
     def position(self, observation: Observation) -> tuple[FloatArray, FloatArray | None, FloatArray] | None:
         """Return position, velocity where there is one, and the covariance of both; None where there is no
@@ -76,12 +91,20 @@ class Fix:
         if not set(at) >= {0, 1, 2}:
             return None
         order = np.argsort(at)
-        y, cov = observation.y[order], self._spread(observation, at)[np.ix_(order, order)]
+        y = observation.y[order]
+        cov = self._spread(observation, at, y[:3])[np.ix_(order, order)]
         return (y[:3], y[3:], cov) if len(at) == 6 else (y[:3], None, cov[:3, :3])
 
-    def _spread(self, observation: Observation, at: list[int]) -> FloatArray:
+    def _spread(self, observation: Observation, at: list[int], place_m: FloatArray) -> FloatArray:
         floors = np.repeat([self.sigma_floor_m, self.sigma_floor_mps], 3)[at]
-        return np.asarray(observation.aux["cov"][:, at] + np.diag(floors**2))
+        spread = np.asarray(observation.aux["cov"][:, at] + np.diag(floors**2))
+        wide, high, fast = (getattr(self, field) for field in self.fitted)
+        if wide == high == fast == 1.0:
+            return spread
+        axes, grown = local_axes(place_m), fast * np.eye(6)
+        grown[:3, :3] = axes.T @ (np.array([[wide], [wide], [high]]) * axes)
+        grown = grown[np.ix_(at, at)]
+        return np.asarray(grown @ spread @ grown.T)
 
 
 def _places(observation: Observation) -> list[int]:

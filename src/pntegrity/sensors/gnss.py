@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -73,6 +74,7 @@ class Gnss:
         Naming the field and what is allowed.
     """
 
+    fitted: ClassVar[tuple[str, ...]] = ("sigma_m", "sigma_mps", "slow_sigma_m")
     name: str = "gnss"
     mask_deg: float = 10.0
     doppler: bool = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from pntegrity.sensors._acoustic import (
     Water,
     assemble,
     beacon_of,
+    check_flag,
     check_positive,
     travel,
     variances,
@@ -68,6 +69,7 @@ class Lbl:
         A beacon without coordinates, a profile that does not reach a beacon, a value out of range.
     """
 
+    fitted: ClassVar[tuple[str, ...]] = ("sigma_s",)
     name: str = "lbl"
     beacons: Mapping[str, Any] = field(default_factory=dict)
     sigma_s: float = 1e-3
@@ -87,6 +89,7 @@ class Lbl:
         check_positive("`sound_scale_sigma`", self.sound_scale_sigma, zero=True)
         check_positive("`sound_scale_walk`", self.sound_scale_walk, zero=True)
         check_positive("`most_repeats`", self.most_repeats, zero=True)
+        check_flag("`two_way`", self.two_way)
         vector("lever_arm_m", self.lever_arm_m)
         for name, beacon in self.places.items():
             self.water.check(beacon, name)

@@ -141,7 +141,10 @@ class Nuisance:
 
 @runtime_checkable
 class Source(Protocol):
-    """A source of navigation as a vehicle's description has it."""
+    """A source of navigation as a vehicle's description has it.
+
+    A type may name in a class attribute ``fitted`` the fields, positive numbers, that a calibration fits.
+    """
 
     @property
     def name(self) -> str:

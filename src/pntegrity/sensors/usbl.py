@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from pntegrity.sensors._acoustic import (
     Water,
     assemble,
     beacon_of,
+    check_flag,
     check_positive,
     matrix_of,
     received_ns,
@@ -69,6 +70,7 @@ class Usbl:
         A transponder without coordinates, a profile that does not reach it, a value out of range.
     """
 
+    fitted: ClassVar[tuple[str, ...]] = ("sigma_range_m", "sigma_s", "sigma_angle_deg")
     name: str = "usbl"
     transponder: Mapping[str, Any] = field(default_factory=dict)
     sigma_range_m: float = 1.0
@@ -84,6 +86,7 @@ class Usbl:
     def __post_init__(self) -> None:
         for name in ("sigma_range_m", "sigma_s", "sigma_angle_deg"):
             check_positive(f"`{name}`", getattr(self, name))
+        check_flag("`two_way`", self.two_way)
         vector("lever_arm_m", self.lever_arm_m)
         matrix_of("mount_deg", self.mount_deg)
         self.water.check(self.beacon, "transponder")
