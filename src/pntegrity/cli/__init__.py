@@ -19,7 +19,7 @@ COMMANDS = {
     "demo": "The same on a small embedded scenario with known faults; works offline, in seconds.",
     "monitor": "Run monitors again on a recorded run, without the raw data.",
     "audit": "Does a monitor keep its false-alarm rate on this geometry, and what would it see?",
-    "calibrate": "Fit the noise model to a receiver's log.",
+    "calibrate": "Fit the noise to a log: of a receiver, or of a vehicle's sources.",
     "train-factors": "Thresholds of factor-set detection from logs without faults.",
     "simulate-imu": "An inertial measurement unit on the track of a real log that has none.",
     "simulate-vessel": "A vessel with several sources beside an inertial unit, to try without data.",

@@ -24,7 +24,7 @@ class PppRtk(Precise):
     Products of the ionosphere hold between satellites only, and a receiver delays its codes: each
     constellation has a white state for what its products share, which is the same as differences with their
     full covariance, whichever satellite they refer to. Errors of products last: each has a Gauss-Markov state
-    of its stated standard deviation (``product_tau_s`` 0: products are white, as in the paper). So do errors of
+    of its stated standard deviation (``product_tau_s`` 0: white, as in the paper). So do errors of
     code and carrier: where a satellite goes on, their variance grows by `NoiseModel.inflation`.
 
     Slant delays contain the satellites' code biases where no bias products were given. A satellite that is
