@@ -68,6 +68,8 @@ def test_sigmas_are_fitted_told_and_written(fitted):
         assert set(noise[name]) == {"horizontal_factor", "vertical_factor"}
     facts = tomllib.loads(path.read_text())["calibration"]
     assert facts["sigma"]["stern.horizontal_factor"]["given"] == 1.0
+    assert set(facts["sigma"]["bow.velocity_factor"]) == {"given", "likely", "lasting", "fitted", "reason"}
+    assert "nan" not in path.read_text()
     assert facts["validation_fitted"]["alarms"]["source_separation"] == 0
 
 

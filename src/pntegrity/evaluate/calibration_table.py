@@ -82,7 +82,9 @@ def source_facts(result: SourceCalibration) -> dict[str, Any]:
         "validation_given": _judged_facts(result.given),
         "validation_fitted": _judged_facts(result.fitted),
         "sigma": {
-            f"{s.source}.{s.field}": {n: float(f"{getattr(s, n):.4g}") for n in numbers}
+            f"{s.source}.{s.field}": {
+                n: float(f"{x:.4g}") for n in numbers for x in [getattr(s, n)] if isfinite(x)
+            }
             | ({"reason": s.reason} if s.reason else {})
             for s in result.sigmas
         },
