@@ -17,7 +17,7 @@ from pntegrity.physics.time import SECOND_NS
 from pntegrity.records import Epoch, FloatArray, Inertial
 from pntegrity.sensors.snapshot import snapshot
 
-__all__ = ["MOST_LAG_S", "estimate_lag", "tracks", "without_lag"]
+__all__ = ["MOST_LAG_S", "Track", "estimate_lag", "tracks", "without_lag"]
 
 #: A lag is believed where this much of the accelerations is explained, and its standard deviation is at most
 #: this, s; lags are looked for up to `MOST_LAG_S`.
@@ -27,6 +27,8 @@ LEAST_CORRELATION, MOST_SIGMA_S, MOST_LAG_S = 0.6, 0.1, 1.0
 POSITIONS_MPS2 = 1.0
 
 Motion = tuple[FloatArray, FloatArray, float]
+#: What `tracks` returns.
+Track = tuple[FloatArray, FloatArray, float]
 
 
 def without_lag(whole: Inertial, lag: Lag | None, path: Path, notes: list[str]) -> Inertial:
@@ -65,7 +67,7 @@ def without_lag(whole: Inertial, lag: Lag | None, path: Path, notes: list[str]) 
 
 
 def estimate_lag(
-    whole: Inertial, epochs: Sequence[Epoch], options: GnssOptions, notes: list[str] | None = None
+    whole: Inertial, epochs: Sequence[Epoch], track: Track, notes: list[str] | None = None
 ) -> Lag | None:
     """Return by how much the stamps of an IMU are late, None where the motion does not tell.
 
@@ -77,9 +79,8 @@ def estimate_lag(
     whole : Inertial
         As `read_imu` gives it without a lag.
     epochs : sequence of Epoch
-        With fixes, or code and range rates.
-    options : GnssOptions
-        For snapshots from code and range rates.
+    track : tuple
+        Of `tracks`, of the same epochs.
     notes : list of str, optional
         Gets a word on velocities of fixes that are late against their positions.
     """
@@ -89,7 +90,7 @@ def estimate_lag(
     felt = Felt(
         np.asarray((whole.t_ns - first) * 1e-9), whole.dt_s, whole.angle_rad[:, 2], whole.velocity_mps[:, :2]
     )
-    positions, speeds, noise = tracks(epochs, options)
+    positions, speeds, noise = track
     by_speed = _lag_of(felt, epochs, speeds, 1)
     step = np.median(np.diff([e.t_ns for e in epochs])) * 1e-9 if len(epochs) > 1 else 1.0
     if not noise * np.sqrt(6.0) / step**2 <= POSITIONS_MPS2:
@@ -111,7 +112,7 @@ def _lag_of(felt: Felt, epochs: Sequence[Epoch], track: FloatArray, order: int) 
     return find_lag(felt, np.asarray(t_s), track[there], order, MOST_LAG_S)
 
 
-def tracks(epochs: Sequence[Epoch], options: GnssOptions) -> tuple[FloatArray, FloatArray, float]:
+def tracks(epochs: Sequence[Epoch], options: GnssOptions) -> Track:
     """Return how the antenna moved.
 
     Parameters

@@ -20,7 +20,7 @@ from pntegrity.estimators.gnss_ins import GnssIns
 from pntegrity.formats._source import read_text
 from pntegrity.formats.fixes import POSITION_KEYS, VELOCITY_KEYS, read_fixes
 from pntegrity.formats.imu_table import mounting, read_imu
-from pntegrity.imu_lag import MOST_LAG_S, estimate_lag, tracks, without_lag
+from pntegrity.imu_lag import MOST_LAG_S, Track, estimate_lag, tracks, without_lag
 from pntegrity.kernels.factor_set import FactorSet
 from pntegrity.physics.time import SECOND_NS, from_iso
 from pntegrity.records import Epoch, Inertial, Observation
@@ -314,9 +314,11 @@ def with_imu(
         mount_deg=config.imu_mount_deg, origin_ns=config.origin_ns(), notes=notes,
     )  # fmt: skip
     check_reach(options.sources, epochs)
-    _check_angles(whole, epochs, options, config.imu)
+    track = tracks(epochs, options) if auto and epochs else None
+    _check_angles(whole, epochs, options, config.imu, track)
     if auto:
-        whole = without_lag(whole, estimate_lag(whole, epochs, options, notes), config.imu, notes)
+        lag = None if track is None else estimate_lag(whole, epochs, track, notes)
+        whole = without_lag(whole, lag, config.imu, notes)
     if config.source:
         check_clocks(config.source, epochs, whole.t_ns, config.imu, notes)
         epochs = carried_on(epochs, whole.t_ns, notes, end_ns)
@@ -327,11 +329,16 @@ def with_imu(
         raise InputError(str(error), path=config.imu, hint=hint) from None
 
 
-def _check_angles(whole: Inertial, epochs: Sequence[Epoch], options: GnssOptions, path: Path) -> None:
-    """Refuse angles in another unit than the table says, where gravity or the track tells it (InputError)."""
+def _check_angles(
+    whole: Inertial, epochs: Sequence[Epoch], options: GnssOptions, path: Path, track: Track | None
+) -> None:
+    """Refuse angles in another unit than the table says, where gravity or the track tells it (InputError);
+    `track` is that of all epochs, where it is known.
+    """
     if not epochs:
         return
-    some = epochs[:: 1 + len(epochs) // MOST_PLACES]
-    place, _, sigma_m = tracks(some, options)
+    step = 1 + len(epochs) // MOST_PLACES
+    some = epochs[::step]
+    place, _, sigma_m = tracks(some, options) if track is None else (track[0][::step], *track[1:])
     check_turns(whole, np.array([e.t_ns for e in some], dtype=np.int64), place, sigma_m, path)
     check_level(whole, path)

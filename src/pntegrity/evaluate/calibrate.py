@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from pntegrity.errors import InputError
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators.spp_kf import SppKf
-from pntegrity.evaluate.likelihood import PART, STEPS, Part, Values, settling, stream, walked
+from pntegrity.evaluate.likelihood import STEPS, Part, Values, cut_of, settling, stream, walked
 from pntegrity.evaluate.overbound import bound, excess, series_of
 from pntegrity.evaluate.whiteness import whiteness
 from pntegrity.exclusion import Policy
@@ -96,12 +95,7 @@ def calibrate(
     InputError
         Where either part has fewer than 100 epochs.
     """
-    cut = int(len(epochs) * split)
-    if cut < PART or len(epochs) - cut < PART:
-        raise InputError(
-            f"a calibration needs {PART} epochs on either side of the split; {cut} and {len(epochs) - cut} "
-            "given"
-        )
+    cut = cut_of(len(epochs), split)
     left_out = _left_out(epochs[:cut], options, estimator, monitors(p_fa, options.noise))
     part = _part(epochs[:cut], options, estimator, left_out)
     noise = _fit(part, options.noise, estimator.fitted, progress)

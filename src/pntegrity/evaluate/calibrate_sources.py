@@ -16,7 +16,7 @@ from typing import Any
 from pntegrity.errors import InputError
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.estimators.multi_source import MultiSource
-from pntegrity.evaluate.likelihood import PART, Part, Values, settling, walked
+from pntegrity.evaluate.likelihood import Part, Values, cut_of, settling, walked
 from pntegrity.evaluate.source_sigmas import (
     gives_position,
     parameters_of,
@@ -174,12 +174,7 @@ def calibrate_sources(
     InputError
         Where either part has fewer than 100 epochs, or no source has anything to fit.
     """
-    cut = int(len(epochs) * split)
-    if cut < PART or len(epochs) - cut < PART:
-        raise InputError(
-            f"a calibration needs {PART} epochs on either side of the split; {cut} and {len(epochs) - cut} "
-            "given"
-        )
+    cut = cut_of(len(epochs), split)
     parameters = parameters_of(options.sources)
     if not parameters:
         raise InputError("no source has a sigma that can be fitted", hint="See docs/noise.md")

@@ -13,11 +13,12 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from pntegrity.protocols import Estimator
+from pntegrity.errors import InputError
+from pntegrity.protocols import Estimator, stepped
 from pntegrity.records import Epoch, State, Update
 from pntegrity.sensors.noise import Fitted
 
-__all__ = ["PART", "STEPS", "Part", "Values", "minus_twice_log", "settling", "stream", "walked"]
+__all__ = ["STEPS", "Part", "Values", "cut_of", "minus_twice_log", "settling", "stream", "walked"]
 
 #: Factors by which a parameter is tried, sweep after sweep.
 STEPS = (2.5, 1.6, 1.25, 1.12)
@@ -32,6 +33,22 @@ Model = TypeVar("Model")
 Values = Mapping[str, float]
 
 
+def cut_of(n: int, split: float) -> int:
+    """Return how many of so many epochs are fitted to.
+
+    Raises
+    ------
+    InputError
+        Where either part has fewer than 100 epochs.
+    """
+    cut = int(n * split)
+    if cut < PART or n - cut < PART:
+        raise InputError(
+            f"a calibration needs {PART} epochs on either side of the split; {cut} and {n - cut} given"
+        )
+    return cut
+
+
 def stream(
     estimator: Estimator, epochs: Sequence[Epoch], left_out: Sequence[frozenset[str]] = ()
 ) -> Iterator[Update]:
@@ -39,7 +56,7 @@ def stream(
     state = State.empty()
     for i, epoch in enumerate(epochs):
         exclude = left_out[i] if i < len(left_out) else frozenset()
-        update = estimator.correct(estimator.predict(state, epoch), epoch, exclude)
+        update = stepped(estimator, state, epoch, exclude)
         state = update.posterior
         yield update
 

@@ -45,8 +45,7 @@ def bound(series: Sequence[FloatArray]) -> float:
     """
     worst = 1.0
     for n in SPANS:
-        pooled = np.concatenate([_means(x, n) for x in series if len(x) >= MEANS * n] or [np.zeros(0)])
-        found = np.sort(np.abs(pooled))[::-1]
+        found = np.sort(np.abs(_pooled(series, n)))[::-1]
         normal = ndtri(1.0 - (np.arange(len(found)) + 0.5) / (2.0 * max(len(found), 1)))
         inner = (normal > 1.0) & (normal < 3.0)
         worst = max(worst, float((found / normal)[inner].max(initial=1.0)))
@@ -62,11 +61,16 @@ def lasting(series: Sequence[FloatArray]) -> float:
     """
     worst = 1.0
     for n in SPANS[1:]:
-        pooled = np.concatenate([_means(x, n) for x in series if len(x) >= MEANS * n] or [np.zeros(0)])
+        pooled = _pooled(series, n)
         if len(pooled):
             sure = 1.0 - 2.0 / np.sqrt(2.0 * len(pooled))
             worst = max(worst, sure * float(np.sqrt(np.mean(pooled**2))))
     return worst
+
+
+def _pooled(series: Sequence[FloatArray], n: int) -> FloatArray:
+    """Return the means over so many epochs of all series that are long enough."""
+    return np.concatenate([np.zeros(0), *(_means(x, n) for x in series if len(x) >= MEANS * n)])
 
 
 def _means(x: FloatArray, n: int) -> FloatArray:

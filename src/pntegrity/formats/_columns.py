@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pntegrity.errors import InputError
 from pntegrity.formats._source import read_text
-from pntegrity.physics.frames import ecef_to_geodetic, geodetic_to_ecef
+from pntegrity.physics.frames import enu_rotations, geodetic_to_ecef
 from pntegrity.physics.time import SECOND_NS, from_iso, from_week_tow, to_iso
 from pntegrity.records import FloatArray
 
@@ -343,14 +343,6 @@ def velocities(table: FloatArray, column: Mapping[str, int], position_m: FloatAr
     if {"vx", "vy", "vz"} <= column.keys():
         return _picked(table, column, ("vx", "vy", "vz"))
     if {"ve", "vn", "vu"} <= column.keys():
-        return _from_enu(position_m, _picked(table, column, ("ve", "vn", "vu")))
+        enu = _picked(table, column, ("ve", "vn", "vu"))
+        return np.asarray(np.einsum("nij,ni->nj", enu_rotations(position_m), enu))
     return None
-
-
-def _from_enu(position_m: FloatArray, enu: FloatArray) -> FloatArray:
-    """Return ECEF vectors (n, 3) of east, north, up ones, each turned at its own position."""
-    lat, lon, _ = ecef_to_geodetic(position_m).T
-    (sp, cp), (sl, cl) = (np.sin(lat), np.cos(lat)), (np.sin(lon), np.cos(lon))
-    e, n, u = enu.T
-    radial = cp * u - sp * n
-    return np.stack([radial * cl - e * sl, radial * sl + e * cl, cp * n + sp * u], axis=1)

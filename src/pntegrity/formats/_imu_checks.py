@@ -51,9 +51,10 @@ def check_gravity(whole: Inertial, path: Path, level: bool, turn: FloatArray) ->
         Saying which unit or axes it looks like.
     """
     force, rate = quietest(whole)
-    if not _never_rests(whole):
-        _check_norm(float(np.linalg.norm(force)), float(np.median(whole.dt_s)), path)
-        _check_rates(whole, float(np.linalg.norm(rate)), path)
+    odd = _odd_norm(float(np.linalg.norm(force)), float(np.median(whole.dt_s)), path)
+    odd = odd or _odd_rates(whole, float(np.linalg.norm(rate)), path)
+    if odd is not None and not _never_rests(whole):
+        raise odd
     tilt = float(np.degrees(np.arccos(np.clip(-force[2] / np.linalg.norm(force), -1.0, 1.0))))
     if level and tilt > MOST_TILT_DEG:
         raise InputError(
@@ -88,9 +89,9 @@ def quietest(whole: Inertial) -> tuple[FloatArray, FloatArray]:
     return force[k].mean(axis=0), rate[k].mean(axis=0)
 
 
-def _check_norm(norm: float, dt_s: float, path: Path) -> None:
+def _odd_norm(norm: float, dt_s: float, path: Path) -> InputError | None:
     if LEAST_MPS2 <= norm <= MOST_MPS2:
-        return
+        return None
     looks = {
         1.0: "it looks like g: name the columns acc_x_g",
         1000.0: "it looks like mg: name the columns acc_x_mg",
@@ -102,19 +103,19 @@ def _check_norm(norm: float, dt_s: float, path: Path) -> None:
     hint = "; or ".join(words for value, words in looks.items() if abs(norm / value - 1.0) < 0.06)
     free = "gravity seems to be taken off: give the specific force that the sensor feels"
     hint = hint or (free if norm < 0.5 else "the unit or the scale of the accelerometers is wrong")
-    raise InputError(
+    return InputError(
         f"the specific force in the quietest stretch is {norm:.2f} m/s2, gravity is 9.8",
         path=path,
         hint=hint[0].upper() + hint[1:],
     )
 
 
-def _check_rates(whole: Inertial, quiet_rps: float, path: Path) -> None:
+def _odd_rates(whole: Inertial, quiet_rps: float, path: Path) -> InputError | None:
     norms = np.linalg.norm(whole.angle_rad, axis=1) / whole.dt_s
     fastest = float(np.quantile(norms, 0.999))
     if quiet_rps <= QUIET_RPS and fastest <= FASTEST_RPS:
-        return
-    raise InputError(
+        return None
+    return InputError(
         f"angular rates are absurd: {quiet_rps:.2f} rad/s in the quietest stretch, {fastest:.1f} rad/s in "
         "one sample of a thousand",
         path=path,

@@ -179,7 +179,7 @@ class Courses:
         """Return some of the courses, without the first rows."""
         return Courses(self.means.T[:, first:][which].T, self.signature[which], self.onset[which])
 
-    @property
+    @cached_property
     def squares(self) -> FloatArray:
         """The square of each unit fault's mean."""
         return np.asarray(np.einsum("hd,hd->h", self.means.T, self.means.T))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pntegrity.kernels.bank import LEAST
-from pntegrity.monitors._sources import SHIFT, Evidence, IntArray, sensors_in, sources_in
+from pntegrity.monitors._sources import Evidence, IntArray, sensors_in, sources_in
 from pntegrity.records import FloatArray
 
 __all__ = ["Gains"]
@@ -43,15 +43,9 @@ class Gains:
         """Each fault's size in standard deviations."""
         return self._along(slice(None), self.white)
 
-    @cached_property
-    def _scale(self) -> FloatArray:
-        """One over the length of each fault's mean; 0 where nothing is seen of it."""
-        square = self.evidence.faults[1].squares
-        return np.asarray(np.where(square > LEAST, 1.0 / np.sqrt(np.maximum(square, LEAST)), 0.0))
-
     def _along(self, columns: Columns, white: FloatArray) -> FloatArray:
         means = self.evidence.faults[1].means.T[columns]
-        return np.asarray((means @ white) * self._scale[columns, None])
+        return np.asarray((means @ white) * self.evidence.scale[columns, None])
 
     def of_sources(self, names: Sequence[str]) -> FloatArray:
         """Return what faults of some sources explain of each run at best: one fault of each, or all as if the
@@ -73,21 +67,22 @@ class Gains:
     def _in_turn(self, each: Sequence[Sequence[Columns]]) -> FloatArray:
         """Return what the best fault of each of some lists explains, one after the other."""
         left, total = self.white, -2.0 * (len(each) - 1) + np.zeros(self.white.shape[1])
-        means, begun = self.evidence.faults[1].means, False
+        means, scale, begun = self.evidence.faults[1].means, self.evidence.scale, False
+        every = np.arange(len(scale))
         for own in each:
-            at = np.concatenate([np.arange(len(self._scale))[c] for c in own] or [np.zeros(0, dtype=np.intp)])
+            at = np.concatenate([every[:0], *(every[c] for c in own)])
             if not len(at):
                 continue
             dots = np.concatenate([self._along(c, left) if begun else self._dots[c] for c in own])
             best = np.abs(dots).argmax(axis=0)
             size = np.take_along_axis(dots, best[None], axis=0)[0]
             total = total + size**2
-            left, begun = left - means[:, at[best]] * (self._scale[at[best]] * size), True
+            left, begun = left - means[:, at[best]] * (scale[at[best]] * size), True
         return np.asarray(total)
 
     def _shifted(self, names: Sequence[str]) -> FloatArray:
         """Return what a shift of some sources together explains, in any direction."""
-        there = [self._shifts[name] for name in names if name in self._shifts]
+        there = [self.evidence.shifts[name] for name in names if name in self.evidence.shifts]
         if not there:
             return np.zeros(self.white.shape[1])
         means = self.evidence.faults[1].means.T
@@ -98,17 +93,3 @@ class Gains:
         gained = np.divide(dots**2, size[:, :, None], out=np.zeros_like(dots), where=seen[:, :, None])
         paid = 2.0 * np.maximum(seen.sum(axis=1) - 1, 0)
         return np.asarray((gained.sum(axis=1) - paid[:, None]).max(axis=0, initial=0.0))
-
-    @cached_property
-    def _shifts(self) -> dict[str, IntArray]:
-        """The faults of each source that are shifts along the axes, shape (kinds and onsets, axes)."""
-        named, faults = self.evidence.faults
-        found: dict[str, dict[str, list[IntArray]]] = {}
-        for i, (kind, s) in enumerate(named):
-            if s.level and s.level[0].startswith(SHIFT):
-                onsets = np.flatnonzero(faults.signature == i)
-                found.setdefault(sources_in(s)[0], {}).setdefault(kind, []).append(onsets)
-        return {
-            name: np.concatenate([np.stack(axes, axis=1) for axes in kinds.values()])
-            for name, kinds in found.items()
-        }

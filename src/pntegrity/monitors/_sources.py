@@ -20,7 +20,7 @@ from pntegrity.kernels.source_test import Courses, WithoutSource, courses, respo
 from pntegrity.records import FloatArray, Update
 from pntegrity.states import group_of, sensor_of, source_of
 
-__all__ = ["SHIFT", "Evidence", "IntArray", "looks", "sensors_in", "sensors_of", "sources_in"]
+__all__ = ["Evidence", "IntArray", "looks", "sensors_in", "sensors_of", "sources_in"]
 
 IntArray = npt.NDArray[np.intp]
 #: A source with at least so many level sensors, or axes, may shift as a whole: three determine a position.
@@ -222,6 +222,26 @@ class Evidence:
             out.setdefault(sources, []).append(slice(first, last))
             first = last
         return out
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """One over the length of each fault's mean; 0 where nothing is seen of it."""
+        square = self.faults[1].squares
+        return np.asarray(np.where(square > LEAST, 1.0 / np.sqrt(np.maximum(square, LEAST)), 0.0))
+
+    @cached_property
+    def shifts(self) -> dict[str, IntArray]:
+        """The faults of each source that are shifts along the axes, shape (kinds and onsets, axes)."""
+        named, faults = self.faults
+        found: dict[str, dict[str, list[IntArray]]] = {}
+        for i, (kind, s) in enumerate(named):
+            if s.level and s.level[0].startswith(SHIFT):
+                onsets = np.flatnonzero(faults.signature == i)
+                found.setdefault(sources_in(s)[0], {}).setdefault(kind, []).append(onsets)
+        return {
+            name: np.concatenate([np.stack(axes, axis=1) for axes in kinds.values()])
+            for name, kinds in found.items()
+        }
 
     def _touched(self, kind: str) -> tuple[tuple[Signature, ...], list[tuple[FloatArray, FloatArray]]]:
         """Return the signatures of all epochs, and for each epoch the rows (m, s) that they touch."""

@@ -12,7 +12,7 @@ import numpy as np
 from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.formats.fixes import read_fixes
 from pntegrity.formats.imu_table import read_imu
-from pntegrity.imu_lag import estimate_lag
+from pntegrity.imu_lag import estimate_lag, tracks
 from pntegrity.scenarios import _python_ins
 from pntegrity.scenarios._ins_logs import DRIVE, Branches, Bridge, Track, drive_log, tracked
 from pntegrity.scenarios._real_logs import Row, row
@@ -84,7 +84,8 @@ def _lags(data: Path) -> list[Row]:
     folder = data / DRIVE
     unit = read_imu(folder / "imu_gpst.csv.gz", axes="-x,y,-z", mount_deg=(0.0, -6.79, 5.35))
     notes: list[str] = []
-    lag = estimate_lag(unit, read_fixes(folder / "gnss_1934_sf.pos.gz"), GnssOptions(), notes)
+    fixes = read_fixes(folder / "gnss_1934_sf.pos.gz")
+    lag = estimate_lag(unit, fixes, tracks(fixes, GnssOptions()), notes)
     told = (
         "not told"
         if lag is None

@@ -15,6 +15,7 @@ from pntegrity.records import FloatArray
 from pntegrity.scenarios._real_logs import Row, row
 from pntegrity.scenarios._vessel_logs import facts, fault_of, ship, ship_log
 from pntegrity.scenarios._vessel_pipeline import Run, monitors_of, run_log, until
+from pntegrity.scenarios._vessel_rows import finite
 from pntegrity.simulate.vessel_log import Fault, VesselLog, with_faults
 from pntegrity.states import is_left_out
 
@@ -115,7 +116,7 @@ def _named(name: str, runs: Sequence[Run], faults: Sequence[Fault], from_s: floa
         f"median of {len(runs)} runs; 80 % {low:.3g} to {high:.3g} s; never in {int(np.isinf(first).sum())}; "
         f"these sensors and nobody else in {exact}"
     )
-    return row(CAMPAIGN, f"{name}: left out after, s", "stated", _plain(mid), note=note)
+    return row(CAMPAIGN, f"{name}: left out after, s", "stated", finite(mid), note=note)
 
 
 def _accuracy(name: str, runs: Sequence[Run], pairs: Sequence[tuple[VesselLog, Run]]) -> Row:
@@ -139,7 +140,7 @@ def _recovery(name: str, runs: Sequence[Run], faults: Sequence[Fault], from_s: f
         f"after the fault's end, all rows in use; any of them in use again during the fault in {early} of "
         f"{len(left)} runs; never in {int(np.isinf(delays).sum())}"
     )
-    return row(CAMPAIGN, f"{name}: back after, s", "stated", _plain(mid), note=note)
+    return row(CAMPAIGN, f"{name}: back after, s", "stated", finite(mid), note=note)
 
 
 def _is_used_again(run: Run, keys: frozenset[str], from_s: float, to_s: float) -> bool:
@@ -174,10 +175,6 @@ def _speed(vessel: Any, log: VesselLog, study: Mapping[str, Any], name: str) -> 
 
 def _rms(x: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((x**2).mean(axis=0)))
-
-
-def _plain(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
 
 
 def _three(x: FloatArray) -> list[float]:

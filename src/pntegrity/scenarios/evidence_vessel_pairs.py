@@ -14,7 +14,9 @@ from pntegrity.evaluate.intervals import binomial_interval
 from pntegrity.scenarios._real_logs import Row, row
 from pntegrity.scenarios._vessel_logs import facts, ship, ship_log
 from pntegrity.scenarios._vessel_pipeline import Run, monitors_of, run_log
+from pntegrity.scenarios._vessel_rows import finite
 from pntegrity.simulate.vessel_log import VesselLog, led_astray, with_faults
+from pntegrity.states import source_of
 
 __all__ = ["CAMPAIGN", "vessel_pairs"]
 
@@ -43,11 +45,11 @@ class Astray:
     def healthy_out(self, run: Run, certain: bool) -> bool:
         """Tell whether anybody healthy was left out; `certain`: not in doubt."""
         made = (e for _, o in run.between(BEGIN_S, SECONDS) for e in o.exclusions)
-        return any(_source(e.group) not in self.guilty and not (certain and e.doubtful) for e in made)
+        return any(source_of(e.group) not in self.guilty and not (certain and e.doubtful) for e in made)
 
     def out(self, run: Run, within_s: float) -> frozenset[str]:
         """Return which sources are left out, they or sensors of theirs, soon after the begin."""
-        return frozenset(_source(n) for _, n in run.excluded(BEGIN_S, BEGIN_S + within_s + 1e-6))
+        return frozenset(source_of(n) for _, n in run.excluded(BEGIN_S, BEGIN_S + within_s + 1e-6))
 
     def misled(self, run: Run) -> tuple[int, int]:
         """Return how many epochs are misleading before the first alarm, and from it on."""
@@ -59,10 +61,6 @@ class Astray:
         """Return how long after the fault's end the last alert is; inf: there is one at the end."""
         last = max((t for t, o in run.between(BEGIN_S, SECONDS) if o.status != "ok"), default=self.end_s)
         return float("inf") if last >= run.t_s[-1] else max(last - self.end_s, 0.0)
-
-
-def _source(name: str) -> str:
-    return name.partition(".")[0]
 
 
 def vessel_pairs(data: Path) -> list[Row]:
@@ -130,7 +128,7 @@ def _together(found: Astray) -> list[Row]:
     note = f"median of {len(found.runs)} runs, from {first.min():.3g} s on; none before its end in {never}"
     quantity = f"{found.name}: first alarm after, s"
     return [
-        row(CAMPAIGN, quantity, "stated", _plain(float(np.median(first))), note=note),
+        row(CAMPAIGN, quantity, "stated", finite(float(np.median(first))), note=note),
         *_safe(found),
     ]
 
@@ -148,7 +146,7 @@ def _safe(found: Astray) -> list[Row]:
         row(CAMPAIGN, f"{found.name}: misleading epochs from the first alarm on", "0", after, after == 0,
             note=f"of {sum(len(r.outcomes) for r in found.runs)}{earlier}"),
         row(CAMPAIGN, f"{found.name}: last alert after its end, s", "stated",
-            _plain(float(np.quantile(again, 0.5, method="nearest"))),
+            finite(float(np.quantile(again, 0.5, method="nearest"))),
             note=f"median; {int(np.isinf(again).sum())} of {len(again)} still in alert "
                  f"{SECONDS - found.end_s:.0f} s after it"),
     ]  # fmt: skip
@@ -156,12 +154,8 @@ def _safe(found: Astray) -> list[Row]:
 
 def _when(found: Astray) -> str:
     times = [
-        min((t for t, n in r.excluded(BEGIN_S, found.end_s) if _source(n) in found.guilty), default=np.inf)
+        min((t for t, n in r.excluded(BEGIN_S, found.end_s) if source_of(n) in found.guilty), default=np.inf)
         for r in found.runs
     ]
     low, mid, high = np.quantile(np.array(times) - BEGIN_S, [0.0, 0.5, 1.0], method="nearest")
     return f"after {mid:.3g} s (median; {low:.3g} to {high:.3g}): {MPS * mid:.1f} m"
-
-
-def _plain(x: float) -> float | None:
-    return x if np.isfinite(x) else None

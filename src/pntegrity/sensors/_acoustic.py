@@ -25,7 +25,7 @@ from pntegrity.states import freeze
 
 __all__ = [
     "Beacon", "Mounted", "Row", "Travel", "Water", "assemble", "beacon_of", "check_flag", "check_number",
-    "check_positive", "depth_of", "matrix_of", "received_ns", "travel", "variances", "vector",
+    "check_positive", "depth_of", "matrix_of", "received_ns", "travel", "variances", "vector", "ways",
 ]  # fmt: skip
 
 PROFILE = ("depth_m", "speed_mps")
@@ -301,7 +301,7 @@ def travel(
         As `Mounted.at` and `Water.path`.
     """
     received = received_ns(o, i)
-    two_way = int(o.aux["ways"][i]) == 2 if "ways" in o.aux else two_way
+    two_way = ways(o, i, two_way) == 2
     times, ends = [received], [Mounted.at(pose, received, arm_m)]
     if two_way:
         sent = int(o.aux["t0_ns"][i]) if "t0_ns" in o.aux else received - round(float(o.y[i]) * 1e9)
@@ -315,6 +315,11 @@ def travel(
     time = sum(path.time_s for path in paths)
     delay_s = beacon.delay_s if two_way else 0.0
     return Travel(time, by_place, by_speed, np.sum(turns, axis=0), delay_s)
+
+
+def ways(o: Observation, i: int, two_way: bool) -> int:
+    """Return whether a row's time is of one way or of two: as it says itself, else as its source does."""
+    return int(o.aux["ways"][i]) if "ways" in o.aux else 2 if two_way else 1
 
 
 def received_ns(o: Observation, i: int) -> int:

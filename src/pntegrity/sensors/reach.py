@@ -9,7 +9,7 @@ import numpy as np
 from pntegrity.errors import InputError
 from pntegrity.physics.acoustics import FASTEST_MPS
 from pntegrity.records import Epoch, FloatArray, Observation
-from pntegrity.sensors._acoustic import Beacon
+from pntegrity.sensors._acoustic import Beacon, ways
 from pntegrity.sensors.lbl import Lbl
 from pntegrity.sensors.source import Source
 from pntegrity.sensors.usbl import Usbl
@@ -53,9 +53,11 @@ def check_reach(sources: Sequence[Source], epochs: Sequence[Epoch]) -> None:
     seen: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
     for o in (o for e in epochs for o in e.observations):
         source = next((s for s in acoustic if s.name == o.sensor), None)
+        if source is None:
+            continue
         k = int(np.argmin(np.abs(t_ns - o.t_ns)))
         old_s = abs(int(t_ns[k]) - o.t_ns) * 1e-9
-        if source is None or old_s > OLDEST_S:
+        if old_s > OLDEST_S:
             continue
         for name, beacon, reach_m in _reached(source, o):
             far_m = float(np.linalg.norm(places[k][1] - beacon.position_m))
@@ -95,12 +97,8 @@ def _reached(source: Source, o: Observation) -> Iterator[tuple[str, Beacon, floa
     for i, (key, y) in enumerate(zip(o.keys, o.y.tolist(), strict=True)):
         what = sensor_of(key)
         if isinstance(source, Lbl) and what in source.places:
-            yield f"beacon {what!r}", source.places[what], FASTEST_MPS * y / _ways(source.two_way, o, i)
+            yield f"beacon {what!r}", source.places[what], FASTEST_MPS * y / ways(o, i, source.two_way)
         elif isinstance(source, Usbl) and what == "range":
             yield "the transponder", source.beacon, y
         elif isinstance(source, Usbl) and what == "time":
-            yield "the transponder", source.beacon, FASTEST_MPS * y / _ways(source.two_way, o, i)
-
-
-def _ways(two_way: bool, o: Observation, i: int) -> int:
-    return int(o.aux["ways"][i]) if "ways" in o.aux else 2 if two_way else 1
+            yield "the transponder", source.beacon, FASTEST_MPS * y / ways(o, i, source.two_way)

@@ -6,22 +6,23 @@ all satellites together, each by its line of sight.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from pntegrity.estimators._gnss import GnssOptions
 from pntegrity.kernels.signatures import is_carrier, is_rate
 from pntegrity.physics.frames import enu_rotation
-from pntegrity.records import Epoch, FloatArray, Observation
+from pntegrity.records import Epoch, FloatArray, Observation, group_of
 from pntegrity.sensors.ranges import geometry
+from pntegrity.sensors.snapshot import snapshot
 from pntegrity.simulate._fault import PLACE, TOWARDS, Fault
 from pntegrity.states import sensor_of
 
 __all__ = ["directed", "share"]
 
-#: A place on the ground is known after so many steps from the Earth's centre, m so well.
-STEPS, CLOSE_M = 10, 10.0
+#: For a place that lines of sight are drawn from all satellites count.
+SKY = GnssOptions(mask_rad=0.0, doppler=False)
 
 
 def directed(fault: Fault, epoch: Epoch) -> Fault:
@@ -57,31 +58,18 @@ def _told(fault: Fault, epoch: Epoch) -> FloatArray | None:
 def _seen(fault: Fault, epoch: Epoch) -> FloatArray | None:
     """Return about where the codes of the satellites that the fault falls on are from."""
     for o in epoch.observations:
-        own = np.array(
-            [fault.touches(k) and not is_rate(k) and not is_carrier(k) for k in o.keys], dtype=bool
-        )
-        if "sv_pos_m" in o.aux and own.sum() > 3:
-            place = _fix(o.select(own), fault.place_m)
-            if place is not None:
-                return place
+        own = np.array([fault.touches(k) and not (is_rate(k) or is_carrier(k)) for k in o.keys], dtype=bool)
+        if "sv_pos_m" in o.aux and own.any():
+            some = o.select(own)
+            keys = tuple(f"{sensor_of(k) or group_of(k)}:C" for k in some.keys)
+            fix = snapshot(Epoch(o.t_ns, (replace(some, sensor="code", keys=keys),)), SKY, _guess(fault))
+            if not fix.reason:
+                return fix.position_m
     return None
 
 
-def _fix(o: Observation, guess_m: Sequence[float] | None) -> FloatArray | None:
-    """Return a place from codes, a clock a constellation, to some hundred metres: no atmosphere is in it."""
-    systems = [(sensor_of(k) or k)[0] for k in o.keys]
-    clock = np.array([[s == each for each in sorted(set(systems))] for s in systems], dtype=np.float64)
-    x = np.zeros(3) if guess_m is None else np.array(guess_m)
-    for _ in range(STEPS):
-        g = geometry(x, o.aux["sv_pos_m"])
-        A = np.hstack([-g.los, clock])
-        step, _, rank, _ = np.linalg.lstsq(A, o.y - g.range_m + o.aux["sv_clk_m"], rcond=None)
-        if rank < A.shape[1]:
-            return None
-        x = np.asarray(x + step[:3], dtype=np.float64)
-        if float(np.linalg.norm(step[:3])) < CLOSE_M:
-            return x
-    return None
+def _guess(fault: Fault) -> FloatArray:
+    return np.zeros(3) if fault.place_m is None else np.array(fault.place_m)
 
 
 def share(fault: Fault, o: Observation) -> FloatArray:
